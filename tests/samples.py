@@ -9,6 +9,7 @@ import numpy as np
 
 from cogradar.shared.protocol.messages import (
     Checkpoint,
+    Command,
     EmulatorCheckpoint,
     Message,
     Plan,
@@ -19,6 +20,7 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
+from cogradar.shared.protocol.orders import PowerLimit
 from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -51,6 +53,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "t": 1,
     },
     RunCancel: {},
+    Command: {"id": "0f" * 16, "by": "commander.me", "action": PowerLimit(share=0.5)},
     ScanRecall: {"k": 3, "targets": [0, 2], "planner": "p1"},
     Handover: {"planner": "p1", "k": 3, "targets": [1], "taken": False},
     WaveformRecall: {"k": 3},

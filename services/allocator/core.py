@@ -14,6 +14,7 @@ from cogradar.services.delivery.resend import MAX_DWELLS, ResendBuffer
 from cogradar.shared.protocol.admission import check_plan
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from cogradar.shared.protocol.orders import Order, dropped, in_force
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
 # When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
@@ -33,6 +34,8 @@ class _Run:
     k: int  # the dwell to be answered next
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
+    orders: Sequence[Order] = ()  # as the last checkpoint says
+    held: set[int] = field(default_factory=set)  # dwells that are complete, too far ahead of the journal
     due_s: float | None = None  # when the answer is due, whatever is missing,
     wait_s: float | None = None  # ... or how long after the next tick, which tells the time
 
@@ -48,14 +51,16 @@ class _Run:
     def forget(self, before_k: int) -> None:
         """No waveform will be made for the dwells before this one."""
         self.plans = defaultdict(dict, {k: plans for k, plans in self.plans.items() if k >= before_k})
+        self.held = {k for k in self.held if k >= before_k}
         self.tracks.forget(before_k)
 
 
 class AllocatorCore:
     """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
-    In lockstep a waveform is a function of its dwell's scan and plans alone: an allocator that comes back needs no more
-    than those of the dwells that are not acknowledged yet, which are sent again.
+    In lockstep a waveform is a function of its dwell's scan and plans, and of the orders of that dwell: an allocator
+    that comes back needs no more than those of the dwells that are not acknowledged yet, which are sent again, and the
+    orders, which each checkpoint says.
     """
 
     def __init__(self) -> None:
@@ -115,10 +120,12 @@ class AllocatorCore:
         if run is not None and not run.resend.is_rewound_by(checkpoint):
             run.forget(checkpoint.k)
             run.resend.acknowledge(checkpoint)
-            return ()
+            run.orders = checkpoint.orders
+            return tuple(answer for k in sorted(run.held) for answer in _next(run, k, is_first=False))
         radar, pacing = RadarConfig.model_validate(checkpoint.radar), pacing_at(checkpoint.rate_hz)
         resend, tracks = ResendBuffer(checkpoint.k), tracks_of(radar, pacing)
-        self._runs[checkpoint.run] = _Run(radar, checkpoint.strategy, resend, pacing, tracks, checkpoint.k)
+        run = self._runs[checkpoint.run] = _Run(radar, checkpoint.strategy, resend, pacing, tracks, checkpoint.k)
+        run.orders = checkpoint.orders
         if pacing.has_deadlines:
             warm_up(radar, checkpoint.strategy)
         return self._pending.replay(checkpoint.run, self.handle)
@@ -141,6 +148,10 @@ def _next(run: _Run, k: int, *, is_first: bool) -> Sequence[Message]:
     """The waveform if all of dwell k is there; after the first that comes of it, a time until it is due."""
     ids, plans = run.tracks.ids(k), run.plans[k]
     if ids is not None and len(plans) >= len(ids) and plans.keys() >= ids:
+        if not run.pacing.may_answer(k - run.resend.k):
+            run.held.add(k)
+            return ()
+        run.held.discard(k)
         return _answer(run, k)
     if is_first:
         run.expect(k, AFTER_FIRST)
@@ -159,10 +170,10 @@ def _when_due(run: _Run, now_s: float) -> Sequence[Message]:
 
 def _answer(run: _Run, k: int) -> Sequence[Message]:
     """The waveform of dwell k, with earlier plans where its own are missing; none if too little is known."""
-    update = run.tracks.update(k, run.newest | run.plans[k])
+    update = run.tracks.update(k, run.newest | run.plans[k], dropped(run.orders, k + 1))
     if update is None:
         return ()
-    answer = run.tracks.sent(waveform(run.radar, run.strategy, update))
+    answer = run.tracks.sent(waveform(run.radar, run.strategy, update, in_force(run.orders, k + 1)))
     run.newest = {plan.target: plan for plan in update.plans} | {m: p for m, p in run.newest.items() if p.k > k}
     if run.pacing.loses_dwells:
         run.forget(k + 1)

@@ -41,6 +41,7 @@ class TrackUpdate(NamedTuple):
     births: Floats  # (b, BIRTH)
     next_id: int
     next_search: int = 0  # number of the next beam of the search
+    dropped: tuple[int, ...] = ()  # orders by which tracks end
 
 
 def unchanged(plans: Sequence[Plan], k: int) -> TrackUpdate:
@@ -94,8 +95,8 @@ def _moved(radar: RadarConfig, plans: Sequence[Plan], k: int) -> tuple[Floats, F
     return predicted_moments(states, covariances, modes, dt, radar.motion.sigma_s_km_s2)
 
 
-def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: float) -> Roster:
-    """The roster of the next dwell, with the search's directions and its share of the power."""
+def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: float, next_search: int) -> Roster:
+    """The roster of the next dwell, with the search's directions, its share of the power, and where it goes on."""
     places = expected(radar, made.plans, made.k + 1)
     return Roster(
         ids=np.array([plan.target for plan in made.plans], np.int32),
@@ -107,7 +108,7 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
             [(*place, plan.existence) for place, plan in zip(places.tolist(), made.plans, strict=True)], np.float64
         ).reshape(-1, EXPECTED),
         searched=searched,
-        next_search=made.next_search + searched.size,
+        next_search=next_search,
         search_share=share,
     )
 

@@ -29,10 +29,11 @@ class AnnouncedTracks:
         """The tracks of a dwell, always the same."""
         return self._ids
 
-    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
+    def update(self, k: int, plans: Mapping[int, Plan], _dropped: Mapping[int, int]) -> TrackUpdate | None:
         """The tracks after dwell k; None unless there is a plan of each track, and one of them is new.
 
-        plans : of dwell k by track, or else the newest ones
+        plans   : of dwell k by track, or else the newest ones
+        dropped : tracks that end by an order: none does
         """
         newest_k = max((plan.k for plan in plans.values()), default=0)
         if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > COASTED_S:
@@ -84,8 +85,11 @@ class FoundTracks:
         """The tracks of dwell k; None: not known yet."""
         return self._ids.get(k)
 
-    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
-        """The tracks after dwell k; None without its scan, or without a plan that may still come."""
+    def update(self, k: int, plans: Mapping[int, Plan], dropped: Mapping[int, int]) -> TrackUpdate | None:
+        """The tracks after dwell k; None without its scan, or without a plan that may still come.
+
+        dropped : tracks that end by an order, each with its number
+        """
         scan = self._scans.get(k)
         if scan is None:
             return None
@@ -95,9 +99,11 @@ class FoundTracks:
         known = [plans[m] for m in roster.ids.tolist() if m in plans]
         if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= TAKEOVER_S:
             return None
-        new = [plan for plan in known if self._pacing.seconds(k - plan.k) <= self._most_s]
+        kept = [plan for plan in known if plan.target not in dropped]
+        new = [plan for plan in kept if self._pacing.seconds(k - plan.k) <= self._most_s]
+        ended = tuple(dropped[m] for m in roster.ids.tolist() if m in dropped)
         begins = self._last_sent.is_followed or not self._pacing.loses_dwells
-        return updated(self._radar, scan, roster, new, begins=begins)
+        return updated(self._radar, scan, roster, new, begins=begins)._replace(dropped=ended)
 
     def sent(self, waveform: Waveform) -> Waveform:
         """A waveform as it is to be sent: where one may be lost, with the births of which no plan has come."""

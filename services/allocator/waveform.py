@@ -1,6 +1,7 @@
 """The waveform that serves the plans of one dwell."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unc
 from cogradar.shared.power.rules import Emission, Requests, power_rule
 from cogradar.shared.power.search import search_directions, search_power
 from cogradar.shared.protocol.messages import Plan, Waveform
+from cogradar.shared.protocol.orders import Order, SectorSearch, looks, power_share, searches
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
@@ -49,32 +51,75 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
 
 
-def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate) -> Waveform:
-    """Waveform after a dwell, for the tracks that go on or begin, and for the search, if there is one."""
+def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders: Sequence[Order] = ()) -> Waveform:
+    """Waveform after a dwell, for the tracks that go on or begin, and for the search, if there is one.
+
+    orders : in force in the dwell that it is for (`cogradar.shared.protocol.orders.in_force`)
+    """
+    radar = _with_power(radar, radar.array.power * power_share(orders))
     array = radar.array
     served = [coasted(radar, plan, update.k) for plan in update.plans]
     if any(plan.status == "searching" for plan in served):
         unlit = np.full((len(served), 1), np.nan)
-        return _message(radar, update, served, _nothing(array.n_tx, array.power, unlit, "acquisition"), None)
-    requests = _requests(radar, served) if served else None
-    searched, power, roster = np.empty(0), 0.0, None
+        return _message(radar, update, served, _nothing(array.n_tx, array.power, unlit, "acquisition"), None, orders)
+    lit = [plan for plan in (_outside_blanked(radar, plan, orders) for plan in served) if plan.bins.size]
+    requests = _requests(radar, lit) if lit else None
+    searched, powers, roster, power = np.empty(0), np.empty(0), None, 0.0
     if radar.search is not None:
+        next_search = update.next_search
         if strategy is not Strategy.ORTHOGONAL:
-            power = search_power(radar, radar.search, requests)
-            searched = search_directions(radar, radar.search, update.next_search, power)
-        roster = roster_of(radar, update, searched, power)
+            asked = looks(orders)
+            of_looks = np.array([look.share * array.power for look in asked])
+            left = _with_power(radar, array.power - float(of_looks.sum())) if asked else radar
+            power = search_power(left, radar.search, requests)
+            times = partial(searches, orders)
+            searched, next_search = search_directions(radar, radar.search, update.next_search, power, times)
+            of_search = np.full(searched.size, power / max(searched.size, 1))
+            searched, place = np.unique(np.append(searched, [look.nu for look in asked]), return_inverse=True)
+            powers = np.zeros(searched.size)
+            np.add.at(powers, place, np.append(of_search, of_looks))
+            power += float(of_looks.sum())
+        roster = roster_of(radar, update, searched, power, next_search)
     if requests is None:
         isotropic = array.power if strategy is Strategy.ORTHOGONAL else 0.0
         sent = _nothing(array.n_tx, isotropic, np.empty((0, 1)), "optimal")
     else:
-        left = radar.model_copy(update={"array": array.model_copy(update={"power": array.power - power})})
-        sent = power_rule(strategy)(left if power else radar, requests)
+        sent = power_rule(strategy)(_with_power(radar, array.power - power) if power else radar, requests)
+    sent = _with_unlit(sent, [plan.target for plan in lit], served)
     if searched.size:
-        beams = beam_factor(searched, np.full(searched.size, power / searched.size), array.n_tx)
-        sent = sent._replace(factor=np.hstack((sent.factor, beams)))
+        sent = sent._replace(factor=np.hstack((sent.factor, beam_factor(searched, powers, array.n_tx))))
     else:
         sent = sent._replace(isotropic=sent.isotropic + power)
-    return _message(radar, update, served, sent, roster)
+    return _message(radar, update, served, sent, roster, orders)
+
+
+def _with_power(radar: RadarConfig, power: float) -> RadarConfig:
+    """A radar with another power to spend."""
+    if power == radar.array.power:
+        return radar
+    return radar.model_copy(update={"array": radar.array.model_copy(update={"power": power})})
+
+
+def _outside_blanked(radar: RadarConfig, plan: Plan, orders: Sequence[Order]) -> Plan:
+    """A plan without its cells in blanked sectors; none may be left."""
+    if plan.nus is None or not any(isinstance(order.action, SectorSearch) for order in orders):
+        return plan
+    kept = np.flatnonzero(searches(orders, plan.nus))
+    near = np.arange(-plan.reach - 1, plan.reach + 2) / (radar.array.n_bin - 1)  # looks may be widened so far
+    is_clear = bool(searches(orders, np.clip(plan.nus[:, np.newaxis] + near, -0.5, 0.5)).all())
+    cells = {name: getattr(plan, name)[kept] for name in ("bins", "nus", "chances")}
+    return plan.model_copy(update=cells | {"reach": plan.reach if is_clear else 0})
+
+
+def _with_unlit(sent: Emission, lit: Sequence[int], served: Sequence[Plan]) -> Emission:
+    """An emission with a row for each of the tracks that are served, though it lights only some of them."""
+    if len(lit) == len(served):
+        return sent
+    rows = np.flatnonzero(np.isin([plan.target for plan in served], lit))
+    nus = np.full((len(served), sent.nus.shape[1]), np.nan)
+    shares = np.zeros(nus.shape)
+    nus[rows], shares[rows] = sent.nus, sent.shares
+    return sent._replace(nus=nus, shares=shares)
 
 
 def _nothing(n_tx: int, isotropic: float, nus: NDArray[np.float64], status: str) -> Emission:
@@ -83,9 +128,15 @@ def _nothing(n_tx: int, isotropic: float, nus: NDArray[np.float64], status: str)
 
 
 def _message(
-    radar: RadarConfig, update: TrackUpdate, served: Sequence[Plan], sent: Emission, roster: Roster | None
+    radar: RadarConfig,
+    update: TrackUpdate,
+    served: Sequence[Plan],
+    sent: Emission,
+    roster: Roster | None,
+    orders: Sequence[Order],
 ) -> Waveform:
     """The message of an emission."""
+    obeyed = sorted({*update.dropped, *(order.n for order in orders)})
     is_lit = ~np.isnan(sent.nus)
     nus = np.where(is_lit, sent.nus, 0.0)
     beams = np.where(is_lit, angle_bin(nus, radar.array.n_bin), -1).astype(np.int32)
@@ -104,6 +155,7 @@ def _message(
             "shares": sent.shares,
             "status": sent.status,
             "late": np.array([plan.k != update.k for plan in update.plans], dtype=np.int32),
+            "orders": np.array(obeyed, np.int32) if obeyed else None,
         }
         | steered
     )

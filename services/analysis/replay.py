@@ -18,6 +18,7 @@ from cogradar.services.errors import BadInput
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
+from cogradar.shared.protocol.orders import DropTrack, Order, in_force
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.codec import decode
@@ -75,6 +76,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     core.handle(_checkpoint(stored, first, 0))
     outcome, t = Replay(0), 0
+    given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (0, 0)
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]
         inputs = [message for message in messages if isinstance(message, fed)]
@@ -84,6 +86,9 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         if to == "allocator" and not by_clock and not _has_plans(inputs):
             raise BadInput(f"{stored.name}: scan or plans of dwell {k} are not stored, as in the store of a campaign")
         t = max((message.t for message in inputs), default=t)
+        if given and (obeyed := _obeyed(given, messages, k + 1, by_clock=by_clock)) != told:
+            told = obeyed
+            core.handle(_checkpoint(stored, *acknowledged, told))
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
         recorded = [message for message in messages if isinstance(message, compared)]
         outcome = _compared(outcome, recorded, answers, (k, t), by_clock=by_clock)
@@ -91,13 +96,24 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         if outcome.difference is not None:
             return outcome
         if (k + 1) % ACKNOWLEDGE_EVERY == 0:
-            core.handle(_checkpoint(stored, k + 1, t))
+            acknowledged = k + 1, t
+            core.handle(_checkpoint(stored, *acknowledged, told))
     is_empty = stored.scenario.radar.is_unknown and t > 0  # nothing was found: there was nothing to plan
     if not outcome.agreed and not outcome.late and not is_empty:
         raise BadInput(
             f"{stored.name}: no {topics[0]} and {topics[-1]} of dwell 0 is stored, as in the store of a campaign"
         )
     return outcome
+
+
+def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_clock: bool) -> list[Order]:
+    """The orders that shape dwell k; of a run in real time those that its waveform says, which may have come late."""
+    if by_clock:
+        said = next((one.orders for one in messages if isinstance(one, Waveform)), None)
+        numbers = set() if said is None else set(said.tolist())
+        return [one.model_copy(update={"k": min(one.k, k)}) for one in given if one.n in numbers]
+    dropping = [one for one in given if one.k == k and isinstance(one.action, DropTrack)]
+    return [*in_force(given, k), *dropping]
 
 
 def _has_plans(inputs: Sequence[Message]) -> bool:
@@ -129,7 +145,7 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
     ]
 
 
-def _checkpoint(stored: StoredRun, k: int, t: int) -> Checkpoint:
+def _checkpoint(stored: StoredRun, k: int, t: int, orders: Sequence[Order] = ()) -> Checkpoint:
     """What the recorder tells a core, in lockstep."""
     start = stored.start
     return Checkpoint(
@@ -140,6 +156,7 @@ def _checkpoint(stored: StoredRun, k: int, t: int) -> Checkpoint:
         seed=radar_seed(start.seed),
         k=k,
         t=t,
+        orders=list(orders),
     )
 
 

@@ -11,6 +11,7 @@ from cogradar.services.metrics.answers import Rows
 from cogradar.services.planner.track_source import follow, source_of
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import RunStart, Scan
+from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.wire.codec import decode
@@ -58,6 +59,10 @@ class StoredRun:
             for row in page:
                 yield row["k"], [base64.b64decode(payload) for payload in row["payloads"]]
             k = page[-1]["k"] + 1
+
+    def orders(self) -> list[Order]:
+        """All commands that were granted, in the order of their numbers."""
+        return [Order.model_validate(row) for row in self._ask("orders", {"run": self.name})]
 
     def states(self, tracks: Sequence[int] | None = None, last_k: int | None = None) -> Iterator[dict[int, TrackState]]:
         """What these tracks, counted from 0, were after each dwell up to `last_k`, as far as they are there; None: all.

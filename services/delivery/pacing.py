@@ -19,6 +19,7 @@ SNAPSHOT_RATE = 100_000  # bytes a second at most for the snapshots of one track
 TAKEOVER_S = LEASE_S + LEAVE_AFTER_S + SNAPSHOT_S  # real time: without plans of a track, until its new owner has them
 COASTED_S = 3.0 * TAKEOVER_S  # so long a track goes on without a plan: its new owner may die, too
 MAX_AHEAD_S = 2.0 * COASTED_S  # real time: how far, besides, the allocator may be ahead of the radar
+ORDER_S = 0.5  # real time: from a command to its first dwell, so that all hear of it before
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,18 @@ class Lockstep:
     def first_open(self, _next_k: int, acknowledged_k: int) -> int:
         """The first dwell of which messages are still of use: the first one that is not acknowledged."""
         return acknowledged_k
+
+    def may_answer(self, ahead: int) -> bool:
+        """Whether a waveform may be made so many dwells ahead of the journal: later ones may be under other orders."""
+        return ahead < MAX_AHEAD_DWELLS
+
+    def first_ordered(self, _newest_k: int, acknowledged_k: int) -> int:
+        """The first dwell that a command can shape.
+
+        No dwell from there on is answered before a checkpoint beyond the acknowledged one has come, and each such
+        checkpoint says the order.
+        """
+        return acknowledged_k + MAX_AHEAD_DWELLS + 1
 
     def may_coast(self, _waited: int) -> bool:
         """Whether a track goes on without a scan, having waited for it so many dwells."""
@@ -138,6 +151,14 @@ class RealTime:
     def first_open(self, next_k: int, _acknowledged_k: int) -> int:
         """The first dwell of which messages are still of use: the next one."""
         return next_k
+
+    def may_answer(self, _ahead: int) -> bool:
+        """Whether a waveform may be made so many dwells ahead of the journal: the radar does not wait."""
+        return True
+
+    def first_ordered(self, newest_k: int, _acknowledged_k: int) -> int:
+        """The first dwell that a command is meant to shape; a waveform says which orders it obeys."""
+        return newest_k + 1 + math.ceil(ORDER_S / self.period_s)
 
     def may_coast(self, waited: int) -> bool:
         """Whether a track goes on without a scan, having waited for it so many dwells."""

@@ -14,7 +14,14 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
 from cogradar.services.delivery.pending import Pending, decoded
 from cogradar.services.delivery.resend import ResendBuffer
-from cogradar.services.emulator.cycle import check_waveform, compared, scan_message, transmission, truth_message
+from cogradar.services.emulator.cycle import (
+    check_waveform,
+    compared,
+    limited,
+    scan_message,
+    transmission,
+    truth_message,
+)
 from cogradar.services.emulator.front_end import (
     FrontEndError,
     OpenFrontEnd,
@@ -26,6 +33,7 @@ from cogradar.services.emulator.front_end import (
 from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
+from cogradar.shared.protocol.orders import Order, ends, in_force, power_share
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.receiver import threshold
@@ -52,6 +60,7 @@ class _Run:
     strongest: Strongest | None = None  # of the acquisition
     unmeasured: int = 0  # dwells of the acquisition in which nothing was measured
     last_fault: str = ""  # ... why
+    orders: Sequence[Order] = ()  # as the last checkpoint says
     awaits_first_waveform: bool = False  # of a run that begins, whose number of tracks is unknown
 
     @property
@@ -165,6 +174,7 @@ class EmulatorCore:
             k=checkpoint.k,
             t=checkpoint.t,
             begun_k=checkpoint.k,
+            orders=checkpoint.orders,
             resend=ResendBuffer(checkpoint.k),
             pacing=pacing,
             awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
@@ -212,6 +222,7 @@ def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
 def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
     """Go on as far as the journal allows; what the recorder lacks is sent again at a tick."""
     run.resend.acknowledge(checkpoint)
+    run.orders = checkpoint.orders
     return [*_go_on(run), *_missing(run)]
 
 
@@ -259,8 +270,10 @@ def _skip(run: _Run, k: int) -> None:
 def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[Message]:
     """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
     k, max_scans = run.k, run.radar.acquisition.max_scans
-    if run.t == run.settings.dwells:
+    if run.t == run.settings.dwells or (run.t > 0 and ends(run.orders, k)):
         answers = _end(run, k, "complete")
+    elif ends(run.orders, k):
+        answers = _end(run, k, "failed", "ended by a command before every target was detected")
     elif not run.is_tracking(waveform) and k >= max_scans:
         reason = f"not every target was detected within {k} scans"
         nearest = f"; {run.strongest}" if run.strongest is not None else ""
@@ -288,7 +301,9 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
 
     None in real time while targets are acquired and nothing was measured: the acquisition has no dwell to spare.
     """
-    asked, is_tracking = transmission(run.radar, waveform), run.is_tracking(waveform)
+    most = run.radar.array.power * power_share(in_force(run.orders, k))
+    asked = limited(transmission(run.radar, waveform), most)  # an allocator that is away knows no new limit
+    is_tracking = run.is_tracking(waveform)
     measured = run.front_end.transmit(k, (run.t, run.t + is_tracking), asked, now_s)
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")

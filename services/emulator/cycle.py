@@ -63,11 +63,20 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     if isotropic > 0.0:
         directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
         places = {_Place(nu, ALL_RANGES, p_fa, directions.size // array.n_bin) for nu in directions.tolist()}
-    if isotropic == 0.0 or (radar.is_unknown and isotropic < array.power):
+    if isotropic == 0.0 or (radar.is_unknown and factor.shape[1] > 0):
         places |= _of_beams(radar, (beams, nus, gates), roster, p_fa)
     looks = _looks(radar, sorted(places))
     bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
+
+
+def limited(asked: Transmission, most: float) -> Transmission:
+    """A transmission with at most this power: all of it is scaled."""
+    power = asked.isotropic + float(np.sum(np.abs(asked.factor) ** 2))
+    if power <= most * (1.0 + POWER_TOLERANCE):
+        return asked
+    share = most / power
+    return replace(asked, isotropic=share * asked.isotropic, factor=np.sqrt(share) * asked.factor)
 
 
 def _of_beams(

@@ -17,6 +17,7 @@ from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,
+    Command,
     Message,
     Plan,
     Refused,
@@ -36,6 +37,7 @@ COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than
 BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
 MAX_RUNS = 256  # that go on at a time
+MAX_COMMANDS = 10_000  # of a run
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
@@ -67,18 +69,20 @@ class RecorderCore:
         """Journal a message; a checkpoint if enough is complete, a History if something is recalled."""
         match event:
             case RunStart():
-                return self._begin(event)
+                answers = self._begin(event)
             case Scan() | Truth() | Plan() | Waveform() | Snapshot():
-                return self._take(event)
+                answers = self._take(event)
             case RunEnd() | RunCancel():
-                return self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
-            case ScanRecall() | WaveformRecall() if self._knows(event.run):
-                return self._recall(event)
+                answers = self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
+            case Command():
+                answers = self._command(event)
+            case ScanRecall() | WaveformRecall():
+                answers = self._recall(event) if self._knows(event.run) else ()
             case Tick():
-                return self._tick(event)
+                answers = self._tick(event)
             case _:
-                pass
-        return ()
+                answers = ()
+        return answers
 
     def validate(self) -> None:
         """Raises BrokenInvariant."""
@@ -111,7 +115,7 @@ class RecorderCore:
         if start is None:
             raise Unreadable("no such run")
         (row,) = self._journal.read("SELECT acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [name])
-        run = RecordedRun(start, row["k"], row["t"], resumed=True)
+        run = RecordedRun(start, row["k"], row["t"], self._journal.orders(name), resumed=True)
         self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
@@ -161,6 +165,28 @@ class RecorderCore:
         known = self._runs.get(run)
         k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
         return RunEnd(run=run, k=k, t=t, status="failed", reason=CANCELLED)
+
+    def _command(self, command: Command) -> Sequence[Message]:
+        """Grant a command, or refuse it, and say so in the journal; the order is durable before anybody hears of it."""
+        if (run := self._runs.get(command.run)) is None:
+            raise Refused("no such run goes on")
+        n, is_known = self._journal.commands(command.run, command.id)
+        if is_known:
+            return ()
+        if n >= MAX_COMMANDS:
+            raise Refused(f"{n} commands were given in this run, which is all there can be")
+        answers: list[Message] = [*self._commit()]
+        try:
+            order = run.grant(command, n + 1)
+        except Refused as refusal:
+            log.warning("%s: %s, by %s, is refused: %s", command.run, command.action.kind, command.by, refusal)
+            self._journal.add_command(command, n + 1, None, str(refusal))
+            self._journal.commit()
+            return answers
+        log.info("%s: %r by %s from dwell %d on", command.run, command.action, command.by, order.k)
+        self._journal.add_command(command, order.n, order.k, "")
+        self._journal.commit()
+        return [*answers, *run.checkpoint()]
 
     def _take(self, message: OfDwell | Snapshot) -> Sequence[Message]:
         if (run := self._runs.get(message.run)) is None:
@@ -237,6 +263,8 @@ class RecorderCore:
             if run.tracks is not None:  # nobody goes on from those that have ended
                 self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
             self._spans[run.start.run].cut(self._journal, run)
+            for n in run.orders.end(run.k, run.tracks or ()):
+                self._journal.end_order(run.start.run, n)
         self._journal.commit()
         self._uncommitted_ticks = 0
         for run in advanced:

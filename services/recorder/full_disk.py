@@ -13,7 +13,7 @@ from cogradar.services.recorder.core import MAX_RUNS, RecorderCore
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Event, Tick
-from cogradar.shared.protocol.messages import Message, Refused, RunCancel, RunStart
+from cogradar.shared.protocol.messages import Command, Message, Refused, RunCancel, RunStart
 from cogradar.shared.wire.meter import Measures
 
 LOOK_TICKS = 4  # between two looks whether there is room again
@@ -74,7 +74,7 @@ class Recorder:
 
     def _wait(self, event: Event) -> Sequence[Message]:
         """A look now and then whether there is room; if so, on from what is in the journal."""
-        if isinstance(event, RunStart):
+        if isinstance(event, RunStart | Command):
             raise Refused(self.trouble)
         self._note(event)
         self._ticks += isinstance(event, Tick)
@@ -98,9 +98,9 @@ class Recorder:
             "SELECT run, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE status = 'running' ORDER BY rowid"
         ):
             try:
-                start = self._journal.start(row["run"])
+                start, orders = self._journal.start(row["run"]), self._journal.orders(row["run"])
             except Unreadable:
                 continue  # it will be set aside
             if start is not None:
-                answers += RecordedRun(start, row["k"], row["t"]).checkpoint(held=True)
+                answers += RecordedRun(start, row["k"], row["t"], orders).checkpoint(held=True)
         return answers

@@ -24,7 +24,8 @@ from cogradar.services.recorder.schema import (
     refusal,
     settle,
 )
-from cogradar.shared.protocol.messages import RunEnd, RunStart
+from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
+from cogradar.shared.protocol.orders import Order
 from cogradar.shared.wire.meter import Durations
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
@@ -46,6 +47,11 @@ class Retention:
     hours: float | None = None
     bytes_of_run: int = 4_000_000_000
     grace_s: int = 60  # any ended run is kept so long, for whoever began it to see its end
+
+
+def order_of(row: dict[str, Any]) -> Order:
+    """The order in a row of `command`: its n, k and action. Raises ValueError, TypeError."""
+    return Order.model_validate(row | {"action": json.loads(row["action"])})
 
 
 class Journal:
@@ -143,6 +149,7 @@ class Journal:
         seconds = math.inf if keep.days is None else keep.days * 86400.0
         for row in self.read(query, [keep.grace_s, runs, seconds]):
             self.write("INSERT OR IGNORE INTO dropped VALUES (?)", row["run"])
+            self.write("DELETE FROM command WHERE run = ?", row["run"])
             self.write("DELETE FROM run WHERE run = ?", row["run"])
 
     def delete_dropped(self) -> None:
@@ -178,6 +185,18 @@ class Journal:
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
         return self.write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", run, k, topic, item, payload) == 1
+
+    def add_command(self, command: Command, n: int, k: int | None, reason: str) -> None:
+        """Record a command: granted from dwell k on, or refused."""
+        action = json.dumps(command.action.model_dump())
+        self.write(
+            "INSERT INTO command (run, n, id, asker, asked_s, action, k, reason) VALUES (?,?,?,?,strftime('%s'),?,?,?)",
+            *(command.run, n, command.id, command.by, action, k, reason),
+        )
+
+    def end_order(self, run: str, n: int) -> None:
+        """Record that no later dwell is shaped by an order."""
+        self.write("UPDATE command SET over = 1 WHERE run = ? AND n = ?", run, n)
 
     def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
         """Record what a track was after dwell k, in place of what is older; what is newer stays."""
@@ -281,6 +300,21 @@ class Journal:
             return RunStart.model_validate(rows[0] | {"scenario": json.loads(rows[0]["scenario"])}) if rows else None
         except (ValueError, TypeError) as error:
             raise Unreadable(" ".join(str(error).split())[:300]) from None
+
+    def orders(self, run: str) -> list[Order]:
+        """Commands of a run that were granted and are not over. Raises Unreadable."""
+        query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL AND NOT over ORDER BY n"
+        try:
+            return [order_of(row) for row in self.read(query, [run])]
+        except (ValueError, TypeError) as error:
+            raise Unreadable(" ".join(str(error).split())[:300]) from None
+
+    def commands(self, run: str, id_: str) -> tuple[int, bool]:
+        """How many commands of a run there are, and whether this one is among them."""
+        (row,) = self.rows(
+            "SELECT COALESCE(MAX(n), 0), COALESCE(SUM(id = ?), 0) FROM command WHERE run = ?", [id_, run]
+        )
+        return int(row[0]), bool(row[1])
 
     def unfinished(self) -> list[str]:
         """Runs that have begun and not ended, in the order in which they began."""

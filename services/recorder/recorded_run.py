@@ -1,10 +1,11 @@
 """One run as the recorder receives it: which dwells are complete, and what a checkpoint says of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.order_book import Moment, OrderBook
 from cogradar.services.delivery.pacing import REST_S, pacing_at
 from cogradar.services.recorder.overdue import OverduePlans
 from cogradar.services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
@@ -13,6 +14,7 @@ from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.admission import check_dwell, check_parts, check_plan, check_roster, check_snapshot
 from cogradar.shared.protocol.messages import (
     Checkpoint,
+    Command,
     EmulatorCheckpoint,
     Plan,
     Refused,
@@ -23,6 +25,7 @@ from cogradar.shared.protocol.messages import (
     Waveform,
     roster_of,
 )
+from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.wire.runner import TICK_S
@@ -53,7 +56,9 @@ class _Dwell:
 class RecordedRun:
     """Takes messages in any order; completes dwells in order."""
 
-    def __init__(self, start: RunStart, k: int = 0, t: int = 0, *, resumed: bool = False) -> None:
+    def __init__(
+        self, start: RunStart, k: int = 0, t: int = 0, orders: Sequence[Order] = (), *, resumed: bool = False
+    ) -> None:
         """A run of which dwells 0 .. k-1 are acknowledged. `resumed`: messages may have been missed meanwhile."""
         self.start = start
         self.digest = RunDigest(start.run)
@@ -70,6 +75,7 @@ class RecordedRun:
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._has_truth = start.scenario["world"] is not None
         self.pacing = pacing_at(start.rate_hz)
+        self.orders = OrderBook(self._radar, start.strategy, self.pacing, orders)
         self._overdue_plans = OverduePlans(self.pacing)
         self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
         self._is_resumed = resumed
@@ -120,6 +126,16 @@ class RecordedRun:
             case Plan():
                 dwell.plans.add(message.target)
                 self._overdue_plans.hear_plan(message.k, message.target)
+
+    def grant(self, command: Command, n: int) -> Order:
+        """The order that a command becomes. Raises Refused."""
+        newest = max((k for k, dwell in self._dwells.items() if dwell.t is not None), default=None)
+        tracks = self._dwells[newest].tracks if newest is not None else self.tracks or frozenset()
+        left = (
+            self.start.dwells - self.t + (0 if self._radar.is_unknown or self.t else self._radar.acquisition.max_scans)
+        )
+        at = Moment(max(self._dwells, default=self.k), self.acknowledged[0], self.k + left - 1, tracks)
+        return self.orders.grant(command, n, at)
 
     def validate(self, journalled: tuple[int, ...]) -> None:
         """What was said to be acknowledged is `journalled`, and no more than is complete. Raises BrokenInvariant."""
@@ -197,6 +213,7 @@ class RecordedRun:
         settings: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": start.dwells}
         settings |= {"rate_hz": start.rate_hz, "radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
         settings |= {"k": k, "t": t, "resend": resend, "ended": ended, "held": held, "overdue": list(self._overdue)}
+        settings |= {"orders": list(self.orders.orders)}
         settings |= {"lacking": self._lacking() if resend else None}
         self._overdue = ()
         if resend:

@@ -1,7 +1,7 @@
 """The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
 
-Tables `run`, `message` and `snapshot` are the recorder's, `score`, `picture` and `campaign` a campaign's, whose store
-has few messages. Targets and tracks count from 1.
+Tables `run`, `message`, `snapshot` and `command` are the recorder's, `score`, `picture` and `campaign` a campaign's,
+whose store has few messages. Targets and tracks count from 1.
 """
 
 import shutil
@@ -62,6 +62,17 @@ CREATE TABLE snapshot ( -- what a track was, of runs that go on
     k INTEGER NOT NULL, -- after this dwell
     payload BLOB NOT NULL, -- [MessagePack] the newest one, gone when the run has ended
     PRIMARY KEY (run, target));
+CREATE TABLE command ( -- what somebody asked of a run that went on
+    run TEXT NOT NULL, -- its run
+    n INTEGER NOT NULL, -- its number in the run, from 1
+    id TEXT NOT NULL, -- of the command, unique
+    asker TEXT NOT NULL, -- who asked
+    asked_s INTEGER NOT NULL, -- [s] when the recorder received it, since 1970 in UTC
+    action TEXT NOT NULL, -- [JSON] what was asked for, where tracks count from 0
+    k INTEGER, -- the first dwell under it, null if it was refused
+    reason TEXT NOT NULL DEFAULT '', -- why it was refused
+    over INTEGER NOT NULL DEFAULT 0, -- [0, 1] no later dwell is shaped by it
+    PRIMARY KEY (run, n)) WITHOUT ROWID;
 CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name
     );

@@ -22,7 +22,7 @@ from cogradar.services.simulation.front_end import Watch, WatchedFrontEnd
 from cogradar.services.simulation.links import Links
 from cogradar.services.simulation.process import SPIN, Clock, Process
 from cogradar.shared.protocol.events import Event, Membership, Tick
-from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, RunStart
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart
 from cogradar.shared.protocol.topics import BY_MESSAGE, Role
 from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.runner import TICK_S, Core
@@ -36,9 +36,12 @@ class Spinning(Exception):
 
 
 class Asking:
-    """An operator that asks for its runs until they are over, whenever it hears nothing of them."""
+    """An operator that asks for its runs until they are over, whenever it hears nothing of them, and for its commands
+    at each tick.
+    """
 
-    def __init__(self, starts: Sequence[RunStart]) -> None:
+    def __init__(self, starts: Sequence[RunStart], commands: Sequence[Command]) -> None:
+        self._commands = commands
         self._open = {start.run: start for start in starts}
         self._unheard = {start.run: ASK_TICKS - 1 for start in starts}  # ticks since a checkpoint
 
@@ -52,7 +55,8 @@ class Asking:
             case Tick():
                 for run in self._open:
                     self._unheard[run] += 1
-                return tuple(start for run, start in self._open.items() if self._unheard[run] % ASK_TICKS == 0)
+                starts = [start for run, start in self._open.items() if self._unheard[run] % ASK_TICKS == 0]
+                return [*starts, *(command for command in self._commands if command.run in self._open)]
             case _:
                 pass
         return ()
@@ -105,9 +109,9 @@ class Cluster:
         due.do()
         return True
 
-    def ask(self, starts: Sequence[RunStart]) -> None:
-        """Start an operator that begins these runs, at once."""
-        self._add("operator", "operator", Role.OPERATOR, Asking(starts))
+    def ask(self, starts: Sequence[RunStart], commands: Sequence[Command] = ()) -> None:
+        """Start an operator that begins these runs, at once, and commands them."""
+        self._add("operator", "operator", Role.OPERATOR, Asking(starts, commands))
         self._handle(self.processes["operator"], Tick(0.0))
 
     def start(self, key: str, name: str = "") -> None:

@@ -13,12 +13,15 @@ import numpy as np
 
 from cogradar.services.delivery.pacing import Pacing, pacing_at
 from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, PowerLimit, SectorSearch
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
 SCHEDULE = -1  # index of the generator that draws a schedule; those of its faults have their place in the list
 RATE_HZ = 10.0  # of runs in real time
 DWELLS = 8
 MOST_FAULTS = 8
+COMMANDED, MOST_COMMANDS = 0.3, 4  # share of the schedules in lockstep with commands, and how many one has
+AHEAD_DWELLS = 2  # of such a run before the journal, so that a command takes effect before its end
 RUN_SEEDS = 4  # worlds of each sky
 _LOCKSTEP_S = 0.08  # an undisturbed run is over by then
 _LATE_S, _LONGEST_S = 4.0, 4.0
@@ -81,6 +84,18 @@ class Fault:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """A command to one of the runs, in lockstep."""
+
+    run: int  # its place among the runs
+    action: Action
+    at: int  # not before this dwell
+
+    def __str__(self) -> str:
+        return f"run {self.run}, dwell {self.at}: {self.action!r}"
+
+
+@dataclass(frozen=True)
 class Schedule:
     """What is played, and what goes wrong meanwhile."""
 
@@ -94,6 +109,7 @@ class Schedule:
     snapshot_dwells: int
     prepares: bool  # processes prepare for what comes next while they are idle
     faults: tuple[Fault, ...]
+    commands: tuple[Asked, ...] = ()
 
     @classmethod
     def draw(cls, seed: int) -> Self:
@@ -112,7 +128,9 @@ class Schedule:
             prepares=bool(rng.random() < 0.25),
             faults=(),
         )
-        return replace(made, faults=made._faults(rng))
+        faulty = replace(made, faults=made._faults(rng))
+        is_commanded = not rate_hz and rng.random() < COMMANDED
+        return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
 
     @property
     def pacing(self) -> Pacing:
@@ -129,9 +147,11 @@ class Schedule:
         """When the last fault is over."""
         return max((fault.until_s for fault in self.faults), default=0.0)
 
-    def plain(self) -> Self:
-        """The same run undisturbed, by one planner."""
-        return replace(self, seed=0, planners=1, checkpoint_dwells=16, snapshot_dwells=256, prepares=False, faults=())
+    def plain(self, commands: tuple[Asked, ...] = ()) -> Self:
+        """The same run undisturbed, by one planner, under these commands."""
+        quiet = replace(self, seed=0, planners=1, snapshot_dwells=256, prepares=False, faults=(), commands=commands)
+        # A run that may be only little ahead of the journal would wait for each checkpoint.
+        return replace(quiet, checkpoint_dwells=1 if commands else 16)
 
     def without(self, fault: Fault) -> Self:
         """The same with a fault less."""
@@ -149,6 +169,17 @@ class Schedule:
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
+
+    def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
+        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
+        if self.sky == "unknown":
+            actions += [DropTrack(track=int(m)) for m in range(3)]
+            actions += [SectorSearch(from_deg=-90, to_deg=0, search="blank"), Look(bearing_deg=20, dwells=2, share=0.3)]
+            actions += [SectorSearch(from_deg=-20, to_deg=90, search="double")]
+            actions += [SectorSearch(from_deg=-90, to_deg=90, search="normal")]
+        n = int(rng.integers(1, MOST_COMMANDS + 1))
+        chosen = zip(rng.integers(len(actions), size=n).tolist(), rng.integers(DWELLS, size=n).tolist(), strict=True)
+        return tuple(Asked(int(rng.integers(self.runs)), actions[i], at) for i, at in chosen)
 
     def _fault(self, kind: Kind, n: int, rng: np.random.Generator) -> Fault:
         usual = self.pacing.seconds(2 * DWELLS) or _LOCKSTEP_S

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
+from cogradar.services.delivery import pacing
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.planner import owned_track
 from cogradar.services.recorder import core
-from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.journal import Journal, order_of
 from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
@@ -21,14 +22,16 @@ from cogradar.services.simulation.checks import (
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.process import Process
-from cogradar.services.simulation.schedule import LINKS, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import AHEAD_DWELLS, LINKS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.skies import starts_of
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.protocol.messages import Checkpoint
+from cogradar.shared.protocol.messages import Checkpoint, Command
+from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
 LEASE_S = 1.0  # after which the token of a frozen process is gone
 WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
+NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
 DISK, RECORDER = 2, "recorder-0"  # the disk's place among the generators of a schedule
 Fingerprints = dict[str, tuple[object, ...]]
@@ -57,13 +60,17 @@ def play(schedule: Schedule) -> Outcome:
 
 @contextmanager
 def _often(schedule: Schedule) -> Iterator[None]:
-    """Checkpoints and snapshots as often as a schedule says, so that a short run has several."""
-    before = core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS
+    """Checkpoints and snapshots as often as a schedule says, and effects of commands as soon, so that a short run has
+    several.
+    """
+    before = core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS, pacing.MAX_AHEAD_DWELLS
     core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = schedule.checkpoint_dwells, schedule.snapshot_dwells
+    if schedule.commands:
+        pacing.MAX_AHEAD_DWELLS = AHEAD_DWELLS
     try:
         yield
     finally:
-        core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = before
+        core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS, pacing.MAX_AHEAD_DWELLS = before
 
 
 @lru_cache(maxsize=256)
@@ -81,6 +88,10 @@ class Simulator:
     def __init__(self, schedule: Schedule, disk: Disk) -> None:
         self._schedule, self._disk = schedule, disk
         self._starts = starts_of(schedule)
+        self._commands = [
+            Command(run=self._starts[one.run].run, id=f"{n:032x}", by="operator", action=one.action, at=one.at)
+            for n, one in enumerate(schedule.commands)
+        ]
         self._radiated: list[Dwell] = []
         self._down: dict[str, set[Fault]] = {name: set() for name in schedule.names}
         self._cluster = Cluster(schedule.seed, disk, self._watch, prepares=schedule.prepares)
@@ -90,7 +101,7 @@ class Simulator:
         cluster, violation, found = self._cluster, "", None
         for name in self._schedule.names:
             cluster.start(name)
-        cluster.ask(self._starts)
+        cluster.ask(self._starts, self._commands)
         for fault in self._schedule.faults:
             cluster.at(fault.at_s, partial(self._begin, fault))
             cluster.at(fault.until_s, partial(self._end, fault))
@@ -129,7 +140,7 @@ class Simulator:
     def _check(self) -> Fingerprints:
         """All that must hold at the end. Raises Violated."""
         schedule, starts, said = self._schedule, self._starts, self._cluster.said
-        check_power(starts, self._radiated)
+        check_power(starts, self._radiated, {start.run: self._given(start.run) for start in starts})
         check_journal(self._journal, starts, said)
         check_waveforms(starts, self._radiated, said.values())
         if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
@@ -140,8 +151,22 @@ class Simulator:
             for start in starts:
                 check_pace(start, self._radiated, max(own, default=0.0))
         elif schedule.faults:
-            _compare(found, undisturbed(schedule.plain()))
+            _compare(found, undisturbed(schedule.plain(self._as_given())))
         return found
+
+    def _given(self, run: str) -> list[Order | None]:
+        """What became of the commands of a run, by number: an order, or None if it was refused."""
+        rows = self._journal.read("SELECT n, k, action FROM command WHERE run = ? ORDER BY n", [run])
+        return [None if row["k"] is None else order_of(row) for row in rows]
+
+    def _as_given(self) -> tuple[Asked, ...]:
+        """The commands by which a run that nothing disturbs has the same orders: each at the dwell that it came to."""
+        refused = Asked(0, PowerLimit(share=0.5), NEVER)
+        return tuple(
+            replace(refused, run=i) if order is None else Asked(i, order.action, order.k)
+            for i, start in enumerate(self._starts)
+            for order in self._given(start.run)
+        )
 
     def _watch(self, run: str, k: int, t: int, waveform: Transmission) -> None:
         self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform))
@@ -210,7 +235,7 @@ class Simulator:
                 cluster.kill(fault.who)
                 self._disk.restore()
                 self._start(fault.who)
-                cluster.ask(self._starts)  # who restores a journal begins the runs that it lacks
+                cluster.ask(self._starts, self._commands)  # who restores a journal begins the runs that it lacks
             case _:
                 pass
 

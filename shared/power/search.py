@@ -1,5 +1,6 @@
 """The search for targets that nobody announced: where it looks in a dwell, and how much power it has."""
 
+from collections.abc import Callable
 from functools import cache, lru_cache
 from math import gcd
 
@@ -16,6 +17,7 @@ from cogradar.shared.signal.receiver import detection_probability, threshold
 from cogradar.shared.tracking.existence import alert_p_fa
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LONGEST = 10  # dwells of a sweep: the range of detection falls with the fourth root of the beams only
 P_D = 0.8  # of a look at the end of the range
@@ -23,24 +25,40 @@ _STRONGEST = 1e9  # zeta of an echo that is found at any limit
 LEAST_SHARE = 0.1  # of the power, however much the tracks need: else nobody who comes would ever be found
 
 
-def search_directions(radar: RadarConfig, search: SearchSection, first: int, power: float) -> Floats:
-    """Directions of the search beams of a dwell, (n,) ascending; none if it goes everywhere.
+Sweep = Callable[[Floats], Ints]  # how often each of some directions is searched in a sweep; (n,) -> (n,)
 
-    A sweep visits each bin once, in steps of the golden section of the field of view, so that the beams of a dwell are
-    far apart. Every second sweep is half a bin further: a target at the border of two bins is met with a sixth of its
-    power. "auto" makes as many beams as the power allows to find the echo that the radar expects from the end of its
-    range with a probability of P_D, but as many that a sweep takes LONGEST dwells at most.
+
+def _once(nus: Floats) -> Ints:
+    """All directions alike."""
+    return np.ones(nus.shape, np.int64)
+
+
+def search_directions(
+    radar: RadarConfig, search: SearchSection, first: int, power: float, times: Sweep = _once
+) -> tuple[Floats, int]:
+    """Directions of the search beams of a dwell, (n,) ascending, none if it goes everywhere; number of the next beam.
+
+    A sweep makes as many visits to each bin as `times` says, one if nobody commands otherwise, in steps of the golden
+    section of the field of view, so that the beams of a dwell are far apart. Every second sweep is half a bin further:
+    a target at the border of two bins is met with a sixth of its power. "auto" makes as many beams as the power allows
+    to find the echo that the radar expects from the end of its range with a probability of P_D, but as many that a
+    sweep takes LONGEST dwells at most.
 
     first : number of the first beam, counted from the first one of the run
     power : of the search in this dwell
+    times : 0 for some direction in which there is to be no beam, not for all
     """
     if search.pattern == "isotropic":
-        return np.empty(0)
+        return np.empty(0), first
     n_bin = radar.array.n_bin
-    n = search.beams if search.beams != "auto" else max(int(power / edge_power(radar)), -(-n_bin // LONGEST))
-    numbers = first + np.arange(min(n, n_bin))
-    bins = numbers * _stride(n_bin) % n_bin
-    return np.unique(np.minimum(bin_centres(n_bin)[bins] + 0.5 * (numbers // n_bin % 2) / (n_bin - 1), 0.5))
+    centres = bin_centres(n_bin)
+    visits = np.repeat(centres, times(centres))
+    n_visit = visits.size
+    n = search.beams if search.beams != "auto" else max(int(power / edge_power(radar)), -(-n_visit // LONGEST))
+    numbers = first + np.arange(min(n, n_visit))
+    found = visits[numbers * _stride(n_visit) % n_visit]
+    shifted = np.minimum(found + 0.5 * (numbers // n_visit % 2) / (n_bin - 1), 0.5)
+    return np.unique(np.where(times(shifted) > 0, shifted, found)), first + numbers.size
 
 
 def edge_power(radar: RadarConfig) -> float:

@@ -40,6 +40,7 @@ from cogradar.shared.protocol.fields import (
     States,
     check_different,
 )
+from cogradar.shared.protocol.orders import Action, Orders
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.scenario.limits import NO_END
@@ -101,6 +102,19 @@ class RunCancel(Message):
     """A run is to end before its time: operator -> recorder, which announces it by the run's last checkpoint."""
 
 
+class Command(Message):
+    """What somebody asks of a run that goes on: operator, commander or metrics -> recorder.
+
+    The recorder grants it as an order, from a dwell that its checkpoints say, or refuses it. Its journal says which.
+    Sent again under the same id it changes nothing.
+    """
+
+    id: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]  # unique
+    by: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[ -~]+$")]  # who asks
+    action: Action
+    at: Index = 0  # not before this dwell
+
+
 class Checkpoint(_Settings):
     """How far a run is in the journal: recorder -> planners, allocator, metrics, operator.
 
@@ -120,6 +134,7 @@ class Checkpoint(_Settings):
     ended: bool = False  # the run is over and complete in the journal: forget it
     held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
+    orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
 
     @field_validator("radar")
     @classmethod
@@ -311,6 +326,7 @@ class Waveform(Message):
     nus: FloatLists | None = None  # (M, L) directions of `beams`, if they are steered; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges to be tested for each track, km; (0, 0): all
     roster: Roster | None = None  # the tracks, if their number is unknown
+    orders: Ints | None = None  # numbers of the orders that it obeys, ascending; none: there are none
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

@@ -3,18 +3,22 @@
 import re
 from enum import StrEnum
 
-from cogradar.shared.protocol.messages import EmulatorCheckpoint, RunStart, Truth
+from cogradar.shared.protocol.messages import Command, EmulatorCheckpoint, RunStart, Truth
 from cogradar.shared.protocol.slots import ALL_SLOTS
-from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, topics_read_by
+from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, Topic, topics_read_by
 
 OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
-HOLDERS = (*Role, OBSERVER)  # of certificates
+COMMANDER = "commander"  # an observer that may also command runs
+WATCHING = (OBSERVER, COMMANDER)
+HOLDERS = (*Role, *WATCHING)  # of certificates
+COMMANDING = (Role.OPERATOR, Role.METRICS, COMMANDER)  # metrics for those who ask it over HTTP
 OF_THE_WORLD = (RunStart, EmulatorCheckpoint, Truth)  # from which the truth is known, or could be drawn
 
 _ASKED: dict[str, tuple[str, ...]] = {
     Role.OPERATOR: (QUERY, TIMESTAMPS),
     Role.METRICS: (QUERY, EXPOSITION),
     OBSERVER: (QUERY,),
+    COMMANDER: (QUERY,),
 }
 
 
@@ -30,18 +34,23 @@ class Act(StrEnum):
     SEE = "see"  # who is alive
 
 
+def may_send(holder: str, topic: Topic) -> bool:
+    """Whether a holder of a certificate may send on a topic."""
+    return holder == topic.producer or (topic.message is Command and holder in COMMANDING)
+
+
 def permitted(holder: str, slots: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]:
     """Key expressions with which a holder of a certificate may do what; a planner for the tracks in these slots.
 
     One without a limit may call itself and what it says as it likes, as those with each limit do.
     """
     limited = "*" if slots == ALL_SLOTS else slots
-    sent = tuple(topic.pattern("*", slots=limited) for topic in TOPICS if topic.producer == holder)
-    if holder == OBSERVER:
+    sent = tuple(topic.pattern("*", slots=limited) for topic in TOPICS if may_send(holder, topic))
+    if holder in WATCHING:
         read = tuple(topic.pattern("*") for topic in TOPICS if topic.message not in OF_THE_WORLD)
     else:
         read = tuple(topic.pattern("*") for topic in topics_read_by(Role(holder)))
-    is_process = holder not in {OBSERVER, Role.ROUTER}  # the router says itself what it has to say
+    is_process = holder not in {*WATCHING, Role.ROUTER}  # the router says itself what it has to say
     own = (TIMESTAMPS, EXPOSITION, *((QUERY,) if holder == Role.METRICS else ())) if is_process else ()
     found = {
         Act.SEND: sent,

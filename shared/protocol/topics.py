@@ -11,6 +11,7 @@ from enum import StrEnum
 
 from cogradar.shared.protocol.messages import (
     Checkpoint,
+    Command,
     EmulatorCheckpoint,
     Message,
     Plan,
@@ -94,6 +95,7 @@ _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER,
 TOPICS = (
     Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
     Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
+    Topic("run/{run}/command", Command, Role.OPERATOR, (_R,)),
     Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR), GivesWay.OLDEST),
     Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), GivesWay.OLDEST),
     Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),

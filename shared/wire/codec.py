@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from cogradar.shared.protocol.messages import SCHEMA, Message
-from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME
 from cogradar.shared.scenario.faults import printable
 
@@ -124,7 +124,7 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
 
 def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
     """What stands for an array, or for a part of a message."""
-    if isinstance(value, Roster):
+    if isinstance(value, Compared):
         return dict(value)
     if not isinstance(value, np.ndarray) or value.dtype not in NAMES:
         raise TypeError(f"{type(value).__name__} cannot be sent")

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery.pacing import Lockstep
 from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.emulator.cycle import transmission
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.planner.core import PlannerCore
@@ -19,15 +19,16 @@ from cogradar.services.runs import in_process
 from cogradar.services.simulation import trials
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.memory import FUNCTIONS, Memory, remembering
-from cogradar.services.simulation.schedule import DWELLS, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import DWELLS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.simulator import Outcome, play
 from cogradar.services.simulation.skies import start_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Event, Membership, Tick
-from cogradar.shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform
+from cogradar.shared.protocol.messages import Plan, RunEnd, Scan, Truth
+from cogradar.shared.protocol.orders import DropTrack, EndRun, Look, PowerLimit, SectorSearch
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.files import parse_radar
-from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.tracking.model import TrackerModel
 from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
@@ -149,7 +150,34 @@ def test_a_full_disk_lets_the_run_wait_for_room() -> None:
     assert outcome.simulated_s >= 3.0
 
 
+COMMANDS = (
+    Asked(0, PowerLimit(share=0.5), 4),
+    Asked(0, SectorSearch(from_deg=-90, to_deg=0, search="blank"), 4),
+    Asked(0, Look(bearing_deg=20, dwells=2, share=0.2), 5),
+    Asked(0, DropTrack(track=0), 5),
+    Asked(0, EndRun(), 7),
+)
+
+
+@pytest.mark.parametrize("who", ["recorder-0", "emulator-0", "allocator-0", "planner-0"])
+@pytest.mark.parametrize("checkpoint_dwells", [2, 16])
+def test_a_command_shapes_the_same_dwells_whoever_dies_around_it(who: str, checkpoint_dwells: int) -> None:
+    for at_s in (0.0015, 0.004, 0.3):
+        fault = Fault(Kind.CRASH, at_s, at_s + 1.0, who)
+        for sky in ("known", "unknown"):
+            commands = COMMANDS[::4] if sky == "known" else COMMANDS
+            outcome = _played(fault, sky=sky, commands=commands, checkpoint_dwells=checkpoint_dwells)
+            assert outcome.violation == ""
+
+
 # What is found: a fault that is put into the program.
+
+
+def test_an_order_that_is_effective_too_early_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the next dwell on that is not acknowledged: some process has come to it already, and another has not."""
+    monkeypatch.setattr(Lockstep, "first_ordered", lambda _self, _newest_k, acknowledged_k: acknowledged_k + 1)
+    drawn = [schedule for seed in range(450, 530) if (schedule := Schedule.draw(seed)).commands]
+    assert any(play(schedule).violation for schedule in drawn)
 
 
 def test_a_commit_that_is_not_durable_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,11 +198,10 @@ def test_messages_that_nobody_sends_again_are_found(monkeypatch: pytest.MonkeyPa
 def test_power_above_the_limit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """One in a waveform is refused by the emulator; here it makes more of it than it was asked for."""
 
-    def louder(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
-        asked = transmission(radar, waveform)
+    def louder(asked: Transmission, _most: float) -> Transmission:
         return replace(asked, factor=1.1 * asked.factor, isotropic=1.21 * asked.isotropic)
 
-    monkeypatch.setattr("cogradar.services.emulator.core.transmission", louder)
+    monkeypatch.setattr("cogradar.services.emulator.core.limited", louder)
     assert "with power 1.21, at most 1" in _played(rate_hz=10.0).violation
 
 

@@ -15,6 +15,7 @@ from cogradar.shared.protocol.fields import FAR, LARGEST, MAX_CELLS, MAX_HISTORY
 from cogradar.shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
+    Command,
     EmulatorCheckpoint,
     Message,
     Plan,
@@ -24,6 +25,17 @@ from cogradar.shared.protocol.messages import (
     Scan,
     Truth,
     Waveform,
+)
+from cogradar.shared.protocol.orders import (
+    LEAST_POWER,
+    MAX_LOOK_DWELLS,
+    MAX_LOOKS,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    PowerLimit,
+    SectorSearch,
 )
 from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.topics import BY_NAME
@@ -135,7 +147,17 @@ SETTINGS: dict[str, st.SearchStrategy[Any]] = {
     "seed": SEEDS,
     "dwells": st.integers(5, 10**6),
 }
+SIDE = st.floats(-90.0, 0.0)
+ACTIONS: st.SearchStrategy[Any] = st.one_of(
+    st.builds(PowerLimit, share=st.floats(LEAST_POWER, 1.0)),
+    st.builds(SectorSearch, from_deg=SIDE, to_deg=st.floats(0.01, 90.0), search=st.sampled_from(("blank", "double"))),
+    st.builds(Look, bearing_deg=SIDE, dwells=st.integers(1, MAX_LOOK_DWELLS), share=st.floats(LEAST_POWER, MAX_LOOKS)),
+    st.builds(DropTrack, track=INDEX),
+    st.just(EndRun()),
+)
+ORDERS = st.lists(st.builds(Order, n=st.integers(1, 2**31 - 1), k=INDEX, action=ACTIONS), max_size=4)
 PROGRESS = SETTINGS | {
+    "orders": ORDERS,
     "radar": st.just(SMOKE["radar"]),
     "k": st.integers(5, 2**31 - 1),
     "t": st.integers(0, 5),  # never more than k or dwells
@@ -148,6 +170,14 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
         EmulatorCheckpoint, **PROGRESS, world=st.sampled_from([None, SMOKE["world"]]), world_seed=SEEDS
     ),
     RunCancel: st.builds(RunCancel, run=RUN),
+    Command: st.builds(
+        Command,
+        run=RUN,
+        id=st.from_regex(r"[0-9a-f]{32}", fullmatch=True),
+        by=st.text("abcz. -~", min_size=1, max_size=100),
+        action=ACTIONS,
+        at=INDEX,
+    ),
     Snapshot: st.tuples(SIZE, SIZE, SIZE).flatmap(lambda sizes: snapshots(*sizes)),
     ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1, unique=True), planner=RUN),
     Handover: st.builds(
@@ -187,6 +217,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
             shares=hnp.arrays("f8", (m, 1), elements=st.floats(0, 1e9)),
             late=bins(m),
             status=st.sampled_from(["fixed", "optimal", "inaccurate"]),
+            orders=st.none() | bins(2),
         )
     ),
     RunEnd: st.builds(RunEnd, **HEAD, status=st.sampled_from(["complete", "failed"]), reason=st.text(max_size=500)),

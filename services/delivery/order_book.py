@@ -1,0 +1,109 @@
+"""The orders of one run: which commands are granted, from which dwell on, and which orders are over."""
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cogradar.services.delivery.pacing import Pacing
+from cogradar.shared.protocol.messages import Command, Refused
+from cogradar.shared.protocol.orders import (
+    MAX_LOOKS,
+    MAX_ORDERS,
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    PowerLimit,
+    SectorSearch,
+    in_force,
+    is_over,
+    looks,
+    searches,
+)
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.array import bin_centres
+
+
+@dataclass(frozen=True)
+class Moment:
+    """How far a run is when something is asked of it."""
+
+    newest_k: int  # dwell of which something has come
+    acknowledged_k: int
+    last_k: int  # dwell, if it goes on to its end
+    tracks: Collection[int]  # that are there
+
+
+class OrderBook:
+    """Orders in force, or that will be."""
+
+    def __init__(self, radar: RadarConfig, strategy: Strategy, pacing: Pacing, orders: Iterable[Order] = ()) -> None:
+        self._radar, self._strategy, self._pacing = radar, strategy, pacing
+        self.orders = list(orders)
+
+    def grant(self, command: Command, n: int, at: Moment) -> Order:
+        """The order with this number. Raises Refused, whose text is for those who asked."""
+        k = max(self._pacing.first_ordered(at.newest_k, at.acknowledged_k), command.at)
+        order = Order(n=n, k=k, action=command.action)
+        if k > at.last_k:
+            raise Refused(f"it would take effect at dwell {k}; the run ends with dwell {at.last_k}")
+        if len(self.orders) >= MAX_ORDERS:
+            raise Refused(f"{MAX_ORDERS} orders are in force or pending, which is all there can be at a time")
+        self._check(order, at.tracks, is_later=command.at > 0)
+        self.orders.append(order)
+        return order
+
+    def end(self, k: int, tracks: Collection[int]) -> list[int]:
+        """Drop the orders that shape no dwell from k on; their numbers.
+
+        tracks : of dwell k - 1
+        """
+        over = [order for order in self.orders if order.k < k and self._is_over(order, k, tracks)]
+        self.orders = [order for order in self.orders if order not in over]
+        return [order.n for order in over]
+
+    def _is_over(self, order: Order, k: int, tracks: Collection[int]) -> bool:
+        match order.action:
+            case EndRun():
+                return False
+            case DropTrack():
+                return order.action.track not in tracks
+            case _:
+                return is_over(order, self.orders, k)
+
+    def _check(self, order: Order, tracks: Collection[int], *, is_later: bool) -> None:
+        """Raises Refused for an order that makes no sense; one for later may be of a track that is still to come."""
+        match order.action:
+            case PowerLimit() | EndRun():
+                pass
+            case DropTrack():
+                self._needs_roster(order.action)
+                if not is_later and order.action.track not in tracks:
+                    raise Refused(f"there is no track {order.action.track + 1}")
+            case Look() | SectorSearch():
+                self._needs_roster(order.action)
+                search = self._radar.search
+                if self._strategy is Strategy.ORTHOGONAL or (search is not None and search.pattern == "isotropic"):
+                    raise Refused("the radar searches in all directions at once: there are no beams to steer")
+                self._check_search(order)
+
+    def _needs_roster(self, action: Action) -> None:
+        if not self._radar.is_unknown:
+            raise Refused(f"{action.kind}: only where the number of targets is unknown (radar.tracks)")
+
+    def _check_search(self, new: Order) -> None:
+        """At each dwell with other orders: some direction is searched, no look is blanked, none takes too much."""
+        orders, centres = [*self.orders, new], bin_centres(self._radar.array.n_bin)
+        for k in sorted({order.k for order in orders if order.k >= new.k}):
+            there = in_force(orders, k)
+            if not searches(there, centres).any():
+                raise Refused(f"from dwell {k} on, every direction would be blanked")
+            is_blanked = (
+                new in there and isinstance(new.action, Look) and not searches(there, np.array([new.action.nu]))
+            )
+            if is_blanked:
+                raise Refused(f"in dwell {k} this direction is blanked")
+            if (share := sum(look.share for look in looks(there))) > MAX_LOOKS + 1e-9:
+                raise Refused(f"in dwell {k}, looks would take {share:.2f} of the power, at most {MAX_LOOKS:g} may be")

@@ -1,0 +1,252 @@
+"""Commands to a running radar: what each may ask for, and which orders are in force in a dwell.
+
+People write an action as words or as a document, in which tracks count from 1.
+
+An order is a command that the recorder has granted, with the first dwell that is radiated under it. What is in force in
+a dwell is a function of the orders and of that dwell alone: orders that are over may be left out of the list.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from cogradar.shared.protocol.fields import Index
+from cogradar.shared.protocol.roster import Compared
+from cogradar.shared.scenario.faults import explain
+
+MAX_ORDERS = 64  # of a run that are in force, or will be
+MAX_LOOKS = 0.5  # of the power, for all looks of a dwell that were asked for
+LEAST_POWER = 0.01
+MAX_LOOK_DWELLS = 100_000
+Bearing = Annotated[float, Field(ge=-90.0, le=90.0)]  # degrees from boresight, to the side of positive y
+
+
+def nu_of(bearing_deg: float) -> float:
+    """Spatial frequency nu = 0.5 sin(bearing) of a bearing from boresight in degrees."""
+    return 0.5 * math.sin(math.radians(bearing_deg))
+
+
+class PowerLimit(Compared):
+    """Transmit with at most this share of the array's power, until another limit is set; 1 is all of it."""
+
+    kind: Literal["power"] = "power"
+    share: Annotated[float, Field(ge=LEAST_POWER, le=1.0)]
+
+
+class SectorSearch(Compared):
+    """Search a sector never, once, or twice in each sweep. Where two sectors overlap, the later one counts.
+
+    In a blanked sector no beam of the search and none of a track is steered: tracks there coast.
+    """
+
+    kind: Literal["sector"] = "sector"
+    from_deg: Bearing
+    to_deg: Bearing
+    search: Literal["blank", "normal", "double"]
+
+    @model_validator(mode="after")
+    def _is_wide(self) -> Self:
+        if self.from_deg >= self.to_deg:
+            raise ValueError("from_deg must be below to_deg")
+        return self
+
+    @property
+    def nus(self) -> tuple[float, float]:
+        """Its spatial frequencies, from and to."""
+        return nu_of(self.from_deg), nu_of(self.to_deg)
+
+    @property
+    def times(self) -> int:
+        """Visits of each of its bins in a sweep."""
+        return {"blank": 0, "normal": 1, "double": 2}[self.search]
+
+    def contains(self, other: "SectorSearch") -> bool:
+        """Whether another sector lies within this one."""
+        return self.from_deg <= other.from_deg and other.to_deg <= self.to_deg
+
+    def meets(self, other: "SectorSearch") -> bool:
+        """Whether they have a direction in common."""
+        return self.from_deg <= other.to_deg and other.from_deg <= self.to_deg
+
+
+class Look(Compared):
+    """One more beam of the search in this direction, for some dwells, with a share of the power."""
+
+    kind: Literal["look"] = "look"
+    bearing_deg: Bearing
+    dwells: Annotated[int, Field(ge=1, le=MAX_LOOK_DWELLS)]
+    share: Annotated[float, Field(ge=LEAST_POWER, le=MAX_LOOKS)]
+
+    @property
+    def nu(self) -> float:
+        """Its spatial frequency."""
+        return nu_of(self.bearing_deg)
+
+
+class DropTrack(Compared):
+    """End a track. A target that is detected again begins another one."""
+
+    kind: Literal["drop"] = "drop"
+    track: Index
+
+
+class EndRun(Compared):
+    """End the run, complete with the dwells before."""
+
+    kind: Literal["end"] = "end"
+
+
+Action = Annotated[PowerLimit | SectorSearch | Look | DropTrack | EndRun, Field(discriminator="kind")]
+
+
+class Order(Compared):
+    """A granted command."""
+
+    n: Annotated[int, Field(ge=1, le=2**31 - 1)]  # its number in the run
+    k: Index  # the first dwell that is radiated under it
+    action: Action
+
+
+Orders = Annotated[list[Order], Field(max_length=MAX_ORDERS)]
+
+
+def in_force(orders: Iterable[Order], k: int) -> list[Order]:
+    """Limits, sectors and looks that shape dwell k, in the order in which they took effect.
+
+    A newer power limit replaces the older one, and a sector those that it contains. What is replaced for good, and what
+    changes nothing, is not in force.
+    """
+    begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
+    limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
+    looks = [order for order in begun if isinstance(order.action, Look) and k < order.k + order.action.dwells]
+    found = {order.n for order in [*looks, *_sectors(begun)]}
+    found |= {order.n for order in limits if isinstance(order.action, PowerLimit) and order.action.share < 1.0}
+    return [order for order in begun if order.n in found]
+
+
+def is_over(order: Order, orders: Sequence[Order], k: int) -> bool:
+    """Whether an order cannot shape dwell k or a later one, for those kinds that `in_force` knows."""
+    return order.k <= k and order not in in_force(orders, k)
+
+
+def _sectors(begun: Iterable[Order]) -> list[Order]:
+    """Of orders as they took effect the sectors that count: none that a later one contains, or that changes nothing."""
+    kept: list[tuple[Order, SectorSearch]] = []
+    for order in begun:
+        if isinstance(sector := order.action, SectorSearch):
+            kept = [(other, earlier) for other, earlier in kept if not sector.contains(earlier)] + [(order, sector)]
+    counting: list[tuple[Order, SectorSearch]] = []
+    for order, sector in kept:
+        if sector.times != 1 or any(sector.meets(earlier) for _, earlier in counting):
+            counting.append((order, sector))
+    return [order for order, _ in counting]
+
+
+def power_share(orders: Iterable[Order]) -> float:
+    """Share of the array's power that orders in force allow."""
+    return min((order.action.share for order in orders if isinstance(order.action, PowerLimit)), default=1.0)
+
+
+def searches(orders: Iterable[Order], nus: NDArray[np.float64]) -> NDArray[np.int64]:
+    """How often each direction is searched in a sweep under orders in force: 0, 1 or 2; (n,) -> (n,)."""
+    times = np.ones(nus.shape, np.int64)
+    for order in orders:
+        if isinstance(sector := order.action, SectorSearch):
+            low, high = sector.nus
+            times[(low <= nus) & (nus <= high)] = sector.times
+    return times
+
+
+def looks(orders: Iterable[Order]) -> list[Look]:
+    """The looks among orders in force, none of them into a blanked sector."""
+    orders = list(orders)
+    asked = [order.action for order in orders if isinstance(order.action, Look)]
+    times = searches(orders, np.array([look.nu for look in asked]))
+    return [look for look, n in zip(asked, times.tolist(), strict=True) if n]
+
+
+def dropped(orders: Iterable[Order], k: int) -> dict[int, int]:
+    """Tracks that end before dwell k, each with the number of its order."""
+    found = [order for order in orders if order.k <= k]
+    return {order.action.track: order.n for order in found if isinstance(order.action, DropTrack)}
+
+
+def ends(orders: Iterable[Order], k: int) -> bool:
+    """Whether the run ends before dwell k."""
+    return any(isinstance(order.action, EndRun) and order.k <= k for order in orders)
+
+
+def text_of(action: Action) -> str:
+    """An action as `cogradar command` takes it."""
+    match action:
+        case PowerLimit():
+            return f"power {_number(action.share)}"
+        case SectorSearch():
+            return f"sector {action.search} {_number(action.from_deg)} {_number(action.to_deg)}"
+        case Look():
+            return f"look {_number(action.bearing_deg)} {action.dwells} {_number(action.share)}"
+        case DropTrack():
+            return f"drop {action.track + 1}"
+        case _:
+            return "end"
+
+
+def _number(value: float) -> str:
+    return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+
+
+# Of each kind: how it is written, and the fields of what is written, a number each but for the first of a sector.
+_Kind = type[PowerLimit] | type[SectorSearch] | type[Look] | type[DropTrack] | type[EndRun]
+FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
+    "power": (PowerLimit, "power SHARE", ("share",)),
+    "sector": (SectorSearch, "sector blank|normal|double FROM TO", ("search", "from_deg", "to_deg")),
+    "look": (Look, "look BEARING DWELLS SHARE", ("bearing_deg", "dwells", "share")),
+    "drop": (DropTrack, "drop TRACK", ("track",)),
+    "end": (EndRun, "end", ()),
+}
+
+
+def parsed(words: Sequence[str]) -> Action:
+    """The action that these words are. Raises ValueError."""
+    kind, values = (words[0], words[1:]) if words else ("", ())
+    _, form, names = _form(kind)
+    if len(values) != len(names):
+        raise ValueError(f"{' '.join(words)}: must be {form}")
+    return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=True)})
+
+
+def action_of(document: dict[str, Any]) -> Action:
+    """The action of a document in which tracks count from 1. Raises ValueError."""
+    model, _, _ = _form(document.get("kind"))
+    track = document.get("track")
+    if isinstance(track, int) and not isinstance(track, bool):
+        if track < 1:
+            raise ValueError(f"track = {track}: must be >= 1")
+        document = document | {"track": track - 1}
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise ValueError(explain(error, model)) from None
+
+
+def _form(kind: object) -> tuple[_Kind, str, tuple[str, ...]]:
+    """What a kind of action is made of. Raises ValueError."""
+    if not isinstance(kind, str) or kind not in FORMS:
+        raise ValueError(
+            f"action = {str(kind)[:40]!r}: must be one of {'; '.join(form for _, form, _ in FORMS.values())}"
+        )
+    return FORMS[kind]
+
+
+def _value(name: str, text: str) -> str | int | float:
+    """A number where one is wanted. Raises ValueError."""
+    if name == "search":
+        return text
+    try:
+        return int(text) if name in {"track", "dwells"} else float(text)
+    except ValueError:
+        raise ValueError(f"{name} = {text}: must be a number") from None

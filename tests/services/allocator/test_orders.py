@@ -1,0 +1,149 @@
+"""Orders at the allocator and the emulator: a waveform obeys those of its dwell, and none is made too early."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery import pacing
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.cycle import limited, transmission
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    EmulatorCheckpoint,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    Waveform,
+)
+from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch, nu_of
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.wire.runner import Core
+from tests.services.loop import checkpoint, plans, scans, smoke_start, waveforms
+from tests.services.loop import play as played
+from tests.skies import sky_start, small_sky
+
+K = 10
+READS = (EmulatorCheckpoint, Waveform), (Checkpoint, Scan), (Checkpoint, Scan, Plan)
+BEAMS = "radar.search.beams=4"
+
+
+def _ordered(start: RunStart, *actions: Action) -> EmulatorCheckpoint:
+    orders = [Order(n=n, k=K, action=action) for n, action in enumerate(actions, 1)]
+    return checkpoint(start).model_copy(update={"orders": orders})
+
+
+def _played(start: RunStart, *actions: Action) -> list[Message]:
+    """A run with these orders from dwell K on."""
+    first = _ordered(start, *actions)
+    cores: tuple[Core, ...] = EmulatorCore(SimulatedFrontEnd.open), PlannerCore("p"), AllocatorCore()
+    said: list[Message] = [first]
+    reads = dict(zip(cores, READS, strict=True))
+    for message in said:  # grows while it is read
+        for core, read in reads.items():
+            if isinstance(message, read):
+                said += [answer for answer in core.handle(message) if isinstance(answer, Message)]
+    return said
+
+
+def _power(sent: Waveform) -> float:
+    return sent.isotropic + float(np.sum(np.abs(sent.factor) ** 2))
+
+
+def _roster(sent: Scan | Waveform) -> Roster:
+    assert sent.roster is not None
+    return sent.roster
+
+
+@pytest.mark.parametrize("start", [smoke_start(dwells=20), sky_start(dwells=20)])
+def test_a_limit_holds_from_its_dwell_on_and_nothing_differs_before(start: RunStart) -> None:
+    before, after = waveforms(played(start)), waveforms(_played(start, PowerLimit(share=0.25)))
+    assert [one for one in after if one.k + 1 < K] == [one for one in before if one.k + 1 < K]
+    for sent in after:
+        assert _power(sent) == pytest.approx(0.25 if sent.k + 1 >= K else 1.0, rel=1e-5)
+        assert (None if sent.orders is None else sent.orders.tolist()) == ([1] if sent.k + 1 >= K else None)
+
+
+def test_no_beam_is_steered_into_a_blanked_sector_and_tracks_in_it_coast() -> None:
+    said = _played(sky_start(BEAMS, dwells=30), SectorSearch(from_deg=-90, to_deg=0, search="blank"))
+    lit, coasting = 0, 0
+    for sent in waveforms(said):
+        if sent.k + 1 < K:
+            continue
+        roster = _roster(sent)
+        is_lit = sent.beams[:, 0] >= 0
+        assert sent.nus is not None
+        assert (roster.searched > 0.0).all()
+        assert (sent.nus[is_lit] > 0.0).all()
+        assert roster.searched.size > 0
+        assert _power(sent) == pytest.approx(1.0, rel=1e-5)
+        lit, coasting = lit + int(is_lit.sum()), coasting + int((roster.confirmed[~is_lit] == 1).sum())
+    assert coasting > 5
+    assert lit > 5
+    kept = next(plan for plan in plans(said) if plan.k == K and plan.nus is not None and (plan.nus < 0.0).all())
+    last = max(plan.k for plan in plans(said) if plan.target == kept.target)
+    assert last > K + 5  # not to be lit is no evidence that there is nothing
+
+
+def test_a_look_is_one_more_beam_with_its_share() -> None:
+    look = Look(bearing_deg=33.0, dwells=3, share=0.3)
+    sent = {one.k + 1: one for one in waveforms(_played(sky_start(BEAMS, dwells=20), look))}
+    looked = [k for k, one in sent.items() if nu_of(33.0) in _roster(one).searched]
+    assert looked == [K, K + 1, K + 2]
+    for k in looked:
+        roster = _roster(sent[k])
+        assert roster.searched.size == 5
+        assert _power(sent[k]) == pytest.approx(1.0, rel=1e-5)
+        column = sent[k].factor[:, -5 + int(np.searchsorted(roster.searched, nu_of(33.0)))]
+        assert float(np.sum(np.abs(column) ** 2)) == pytest.approx(0.3, rel=1e-5)
+    scan = next(one for one in scans(_played(sky_start(BEAMS, dwells=20), look)) if one.k == K)
+    assert scan.nus is not None
+    assert nu_of(33.0) in scan.nus
+
+
+def test_a_track_that_is_dropped_is_gone_and_its_target_may_begin_another() -> None:
+    start = sky_start(BEAMS, dwells=20)
+    ids = _roster(next(one for one in scans(played(start)) if one.k == K)).ids.tolist()
+    said = _played(start, DropTrack(track=ids[0]), DropTrack(track=99))
+    before, at = (next(one for one in waveforms(said) if one.k + 1 == k) for k in (K - 1, K))
+    assert ids[0] in _roster(before).ids
+    assert ids[0] not in _roster(at).ids
+    assert at.orders is not None
+    assert at.orders.tolist() == [1]
+    assert all(one.orders is None for one in waveforms(said) if one.k + 1 != K)
+    assert max(plan.k for plan in plans(said) if plan.target == ids[0]) == K - 1
+    assert max(_roster(scans(said)[-1]).ids.tolist()) > max(ids)
+
+
+def test_a_run_ends_before_its_dwell() -> None:
+    said = _played(smoke_start(dwells=40), EndRun())
+    (end,) = [one for one in said if isinstance(one, RunEnd)]
+    assert (end.k, end.status) == (K - 1, "complete")
+    assert max(scan.k for scan in scans(said)) == K - 1
+
+
+def test_the_transmitter_scales_what_is_more_than_a_limit() -> None:
+    """Where dwells do not wait: an allocator that is away knows no new one."""
+    asked = transmission(small_sky().radar, None)
+    found = limited(replace(asked, factor=np.full((asked.factor.shape[0], 1), 0.1 + 0j)), 0.5)
+    assert found.isotropic + float(np.sum(np.abs(found.factor) ** 2)) == pytest.approx(0.5)
+    assert limited(asked, 1.0) is asked
+
+
+def test_no_waveform_is_made_that_a_newer_order_might_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The checkpoint that says an order was lost on its way here, and the emulator has gone on by it."""
+    start = smoke_start(dwells=20)
+    said = played(start)
+    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", 4)
+    core = AllocatorCore()
+    core.handle(checkpoint(start))
+    made = [answer for plan in plans(said) for answer in core.handle(plan)]
+    assert [one.k for one in waveforms(made)] == [0, 1, 2, 3]
+    order = Order(n=1, k=5, action=PowerLimit(share=0.5))
+    later = core.handle(checkpoint(start, 2, 0).model_copy(update={"orders": [order]}))
+    assert [(one.k, one.orders is not None) for one in waveforms(list(later))] == [(4, True), (5, True)]

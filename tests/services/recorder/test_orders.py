@@ -1,0 +1,155 @@
+"""Commands at the recorder: what is granted, from when on, what is refused, and what its checkpoints say of it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from cogradar.services.delivery import pacing
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart, Scan
+from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch
+from cogradar.shared.scenario.radar_config import Strategy
+from tests.services.loop import play, smoke_start
+from tests.skies import sky_start
+
+AHEAD, DWELLS = 3, 400
+HALF = PowerLimit(share=0.5)
+BLANK = SectorSearch(from_deg=-90, to_deg=0, search="blank")
+
+
+@pytest.fixture(scope="module")
+def smoke() -> list[Message]:
+    return play(smoke_start(dwells=8))
+
+
+@pytest.fixture(scope="module")
+def sky() -> list[Message]:
+    return play(sky_start("radar.search.beams=4", dwells=30))
+
+
+@pytest.fixture(autouse=True)
+def _soon(smoke: list[Message], sky: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    """After these runs, which no recorder lets go on, were played."""
+    assert smoke
+    assert sky
+    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AHEAD)
+
+
+def _command(n: int, action: Action, at: int = 0) -> Command:
+    return Command(run="r", id=f"{n:032x}", by="commander.me", action=action, at=at)
+
+
+def _orders(answers: Sequence[Message]) -> list[Order]:
+    """Those of the last checkpoint; the emulator's says the same."""
+    said = [answer.orders for answer in answers if isinstance(answer, Checkpoint)]
+    assert said[-1] == said[-2]
+    return said[-1]
+
+
+def _rows(journal: Journal, *columns: str) -> list[tuple[Any, ...]]:
+    return [tuple(row[column] for column in columns) for row in journal.rows("SELECT * FROM command ORDER BY n")]
+
+
+def _begun(start: RunStart) -> tuple[Journal, RecorderCore]:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    core.handle(start)
+    return journal, core
+
+
+def test_a_command_becomes_an_order_from_the_first_dwell_that_no_process_can_have_come_to() -> None:
+    journal, core = _begun(smoke_start(dwells=DWELLS))
+    answers = core.handle(_command(7, HALF))
+    assert _orders(answers) == [Order(n=1, k=AHEAD + 1, action=HALF)]
+    assert not journal.has_uncommitted
+    assert _rows(journal, "id", "asker", "k", "reason", "over") == [(f"{7:032x}", "commander.me", AHEAD + 1, "", 0)]
+    assert core.handle(_command(7, HALF)) == ()  # sent again
+    assert _orders(core.handle(_command(8, EndRun(), at=300)))[1] == Order(n=2, k=300, action=EndRun())
+
+
+def test_in_real_time_it_takes_effect_half_a_second_after_the_newest_dwell(smoke: list[Message]) -> None:
+    start = smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
+    _, core = _begun(start)
+    for message in smoke:
+        if isinstance(message, Scan) and message.k < 5:
+            core.handle(message)
+    assert _orders(core.handle(_command(1, HALF)))[0].k == 4 + 1 + 5
+
+
+def test_orders_outlive_the_recorder_and_a_full_disk() -> None:
+    journal, core = _begun(smoke_start(dwells=DWELLS))
+    core.handle(_command(1, HALF))
+    resumed = RecorderCore(journal, resume=True)
+    assert _orders(resumed.handle(_command(2, EndRun(), at=200))) == [
+        Order(n=1, k=AHEAD + 1, action=HALF),
+        Order(n=2, k=200, action=EndRun()),
+    ]
+    assert [one.n for one in _orders(Recorder(journal, resume=True)._held())] == [1, 2]
+
+
+def test_what_is_over_is_said_no_more(sky: list[Message]) -> None:
+    """Of two limits the newer one stays; a track that is gone needs no order."""
+    journal, core = _begun(sky_start("radar.search.beams=4", dwells=30))
+    given: list[Action] = [
+        HALF,
+        PowerLimit(share=0.7),
+        DropTrack(track=2000),
+        Look(bearing_deg=10, dwells=2, share=0.1),
+    ]
+    for n, action in enumerate(given, 1):
+        core.handle(_command(n, action, at=4 + n))
+    answers = [answer for message in sky for answer in core.handle(message)]
+    first = next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10)
+    assert [order.n for order in first.orders] == [2]
+    assert _rows(journal, "n", "over") == [(1, 1), (2, 0), (3, 1), (4, 1)]
+
+
+@pytest.mark.parametrize(
+    ("start", "given", "reason"),
+    [
+        (smoke_start(dwells=8), [HALF], "it would take effect at dwell 900; the run ends with dwell "),
+        (smoke_start(dwells=DWELLS), [BLANK], "sector: only where the number of targets is unknown"),
+        (smoke_start(dwells=DWELLS), [DropTrack(track=0)], "drop: only where the number of targets is unknown"),
+        (sky_start(dwells=DWELLS, strategy=Strategy.ORTHOGONAL), [BLANK], "there are no beams to steer"),
+        (sky_start("radar.search.pattern=isotropic", dwells=DWELLS), [BLANK], "there are no beams to steer"),
+        (
+            sky_start(dwells=DWELLS),
+            [BLANK, SectorSearch(from_deg=0, to_deg=90, search="blank")],
+            "every direction would be blanked",
+        ),
+        (sky_start(dwells=DWELLS), [BLANK, Look(bearing_deg=-20, dwells=9, share=0.1)], "this direction is blanked"),
+        (
+            sky_start(dwells=DWELLS),
+            3 * [Look(bearing_deg=20, dwells=9, share=0.2)],
+            "looks would take 0.60 of",
+        ),
+        (sky_start(dwells=DWELLS), [DropTrack(track=3)], "there is no track 4"),
+        (sky_start(dwells=DWELLS), 65 * [HALF], "64 orders are in force or pending"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_the_journal_says_why(
+    start: RunStart, given: list[Action], reason: str
+) -> None:
+    journal, core = _begun(start)
+    for n, action in enumerate(given, 1):
+        answers = core.handle(_command(n, action, at=900 if start.dwells == 8 else 0))
+    assert answers == []
+    *granted, (k, said) = _rows(journal, "k", "reason")
+    assert k is None
+    assert reason in said
+    assert {said for _, said in granted} <= {""}
+
+
+def test_a_run_that_is_not_there_is_not_commanded_nor_one_without_room() -> None:
+    journal, core = _begun(smoke_start())
+    with pytest.raises(Refused, match="no such run goes on"):
+        core.handle(_command(1, HALF).model_copy(update={"run": "other"}))
+    recorder = Recorder(journal, resume=True)
+    recorder._core = None
+    with pytest.raises(Refused, match="the disk is full"):
+        recorder.handle(_command(1, HALF))
+    recorder.handle(Tick(0.0))

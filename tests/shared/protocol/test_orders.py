@@ -1,0 +1,121 @@
+"""Which orders are in force: a function of the dwell, whatever has been left out because it is over."""
+
+import re
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cogradar.shared.protocol.orders import (
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    PowerLimit,
+    SectorSearch,
+    action_of,
+    dropped,
+    ends,
+    in_force,
+    is_over,
+    looks,
+    nu_of,
+    parsed,
+    power_share,
+    searches,
+    text_of,
+)
+
+SEARCHES: tuple[Literal["blank", "normal", "double"], ...] = ("blank", "normal", "double")
+EDGES = (-90.0, -30.0, 0.0, 30.0, 90.0)
+SECTORS = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES), st.sampled_from(SEARCHES))
+ACTIONS: st.SearchStrategy[Action] = st.one_of(
+    st.sampled_from((0.5, 0.7, 1.0)).map(lambda share: PowerLimit(share=share)),
+    SECTORS.filter(lambda s: s[0] < s[1]).map(lambda s: SectorSearch(from_deg=s[0], to_deg=s[1], search=s[2])),
+    st.integers(1, 9).map(lambda dwells: Look(bearing_deg=10.0, dwells=dwells, share=0.1)),
+)
+GIVEN = st.lists(st.tuples(st.integers(0, 20), ACTIONS), max_size=12).map(
+    lambda given: [Order(n=n, k=k, action=action) for n, (k, action) in enumerate(given, 1)]
+)
+NUS = np.linspace(-0.5, 0.5, 41)
+
+
+@given(given_=GIVEN, k=st.integers(0, 25), later=st.integers(0, 10))
+def test_orders_that_are_over_may_be_left_out(given_: list[Order], k: int, later: int) -> None:
+    kept = [order for order in given_ if not is_over(order, given_, k)]
+    assert in_force(kept, k + later) == in_force(given_, k + later)
+
+
+@given(given_=GIVEN, k=st.integers(0, 25))
+def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order], k: int) -> None:
+    """One after the other, without leaving anything out."""
+    begun = sorted((order for order in given_ if order.k <= k), key=lambda order: (order.k, order.n))
+    share, times, seen = 1.0, np.ones(NUS.size, int), list[Look]()
+    for order in begun:
+        match order.action:
+            case PowerLimit():
+                share = order.action.share
+            case SectorSearch():
+                low, high = (nu_of(edge) for edge in (order.action.from_deg, order.action.to_deg))
+                times[(low <= NUS) & (high >= NUS)] = {"blank": 0, "normal": 1, "double": 2}[order.action.search]
+            case Look() if k < order.k + order.action.dwells:
+                seen.append(order.action)
+            case _:
+                pass
+    there = in_force(given_, k)
+    assert power_share(there) == share
+    assert searches(there, NUS).tolist() == times.tolist()
+    is_blanked = not searches(there, np.array([nu_of(10.0)]))[0]
+    assert looks(there) == ([] if is_blanked else seen)
+
+
+def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
+    orders = [Order(n=3, k=7, action=DropTrack(track=4)), Order(n=4, k=9, action=EndRun())]
+    assert [dropped(orders, k) for k in (6, 7)] == [{}, {4: 3}]
+    assert [ends(orders, k) for k in (8, 9)] == [False, True]
+    assert in_force(orders, 20) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [
+        ("power 0.25", PowerLimit(share=0.25)),
+        ("sector blank -20.5 10", SectorSearch(from_deg=-20.5, to_deg=10, search="blank")),
+        ("look 12.123456789 20 0.2", Look(bearing_deg=12.123456789, dwells=20, share=0.2)),
+        ("drop 3", DropTrack(track=2)),
+        ("end", EndRun()),
+    ],
+)
+def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> None:
+    assert parsed(text.split()) == action
+    assert text_of(action) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "action = '': must be one of power SHARE; sector blank|normal|double FROM TO; "),
+        ("pwoer 0.5", "action = 'pwoer': must be one of power SHARE"),
+        ("power", "power: must be power SHARE"),
+        ("power half", "share = half: must be a number"),
+        ("power 0", "share = 0.0: must be a number >= 0.01 and <= 1.0"),
+        ("power nan", "share = nan: must be"),
+        ("sector shut -20 10", "search = 'shut': must be"),
+        ("sector blank 10 -20", "from_deg must be below to_deg"),
+        ("look 95 20 0.2", "bearing_deg = 95.0: must be"),
+        ("drop 0", "track = 0: must be >= 1"),
+        ("drop 1.5", "track = 1.5: must be a number"),
+    ],
+)
+def test_what_is_no_action_is_refused(text: str, fault: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(fault)):
+        parsed(text.split())
+
+
+@pytest.mark.parametrize("document", [{}, {"kind": "power"}, {"kind": "drop", "track": True}, {"kind": "end", "k": 1}])
+def test_a_document_must_be_one_of_them(document: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        action_of(document)
