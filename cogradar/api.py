@@ -65,6 +65,7 @@ class Runs:
         self, ask: Callable[[str, dict[str, str]], Rows], close: Callable[[], None] = lambda: None, source: str = ""
     ) -> None:
         self._ask, self.close, self._source = ask, close, source
+        self._endpoint = ""  # of services that can be commanded
 
     def __repr__(self) -> str:
         of = f" of {self._source}" if self._source else ""
@@ -117,6 +118,23 @@ class Runs:
     def antennas(self, **which: Unpack[Which]) -> Rows:
         """A row per run and transmit antenna: its power and its peak over the mean; takes no target."""
         return self._asked("antennas", which)
+
+    def commands(self, **which: Unpack[Which]) -> Rows:
+        """A row per command of a run: who asked for what, when, from which dwell on, and what became of it."""
+        return self._asked("commands", which)
+
+    def command(self, run: str, action: str, at: int = 0) -> dict[str, Any]:
+        """Command a run that goes on, in words as `cogradar command` takes them: "power 0.5"; its row of `commands`.
+
+        at : not before this dwell, counted from 0
+
+        BadInput if it is refused, RunFailed if nobody confirms.
+        """
+        from cogradar.services.runs.command import command_on
+
+        if not self._endpoint:
+            raise BadInput("a store cannot be commanded: use cogradar.connect")
+        return command_on(self._endpoint, run, action.split(), at)
 
     def _asked(self, metric: str, which: Which) -> Rows:
         parameters = {key: str(value) for key, value in which.items()}
@@ -201,7 +219,9 @@ def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:
     """Runs of the metrics service behind the Zenoh router at an endpoint; one session per question."""
     from cogradar.services.metrics.client import ask_service
 
-    return Runs(partial(ask_service, endpoint), source=endpoint)
+    runs = Runs(partial(ask_service, endpoint), source=endpoint)
+    runs._endpoint = endpoint
+    return runs
 
 
 def open(file: str | Path) -> Runs:  # noqa: A001 - read as cogradar.open, as gzip.open is

@@ -4,12 +4,12 @@ from collections.abc import Collection
 
 from cogradar.services.certs.names import holder_of
 from cogradar.services.errors import BadInput
-from cogradar.shared.protocol.permissions import OBSERVER
+from cogradar.shared.protocol.permissions import WATCHING
 from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.session import BadConfig, own_certificate
 
-ASKING = (Role.OPERATOR, Role.METRICS, OBSERVER)  # who may ask metrics
+ASKING = (Role.OPERATOR, Role.METRICS, *WATCHING)  # who may ask metrics
 
 
 def process_name(role: Role, name: str, endpoints: str) -> str:

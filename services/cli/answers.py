@@ -51,6 +51,7 @@ ORDER = {
     "consistency": ("strategy", "flight", "n", "nees", "nees_position", "nees_velocity", "beyond_99", "scenario"),
     "confirmation": ("strategy", "confirmation_median_s", "confirmation_95_s", "never_found", "long_visible"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "outage_longest", "position_rmse_km"),
+    "commands": ("n", "by", "asked", "action", "k", "state", "t", "run"),
     "antennas": ("run", "strategy", "antenna", "power", "power_max", "papr_db", "papr_max_db", "n"),
     "picture": (
         "run",

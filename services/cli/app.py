@@ -311,6 +311,7 @@ for other in (
     cli_bench.simulate,
 ):
     app.command()(other)
+app.command("command", context_settings={"ignore_unknown_options": True})(cli_runs.command_run)  # -20 is a bearing
 app.add_typer(cli_bench.bench)
 
 

@@ -179,7 +179,7 @@ def _explain(seed: int) -> bool:
 
     outcome = shrunk(seed)
     out.print(f"{outcome.schedule}", soft_wrap=True)
-    for fault in outcome.schedule.faults:
+    for fault in (*outcome.schedule.commands, *outcome.schedule.faults):
         out.print(f"  {fault}", soft_wrap=True)
     verdict = f"FAILS: {outcome.violation}" if outcome.violation else "holds"
     out.print(f"  {verdict}, {outcome.simulated_s:.1f} simulated seconds, {outcome.handled} messages", soft_wrap=True)

@@ -8,7 +8,7 @@ from cogradar.shared.scenario.files import built_in
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import RULES
 
-METRICS = ("runs", "tracks", "p_d", "rmse", "consistency", "confirmation", "summary", "picture", "antennas")
+METRICS = ("runs", "tracks", "p_d", "rmse", "consistency", "confirmation", "summary", "picture", "antennas", "commands")
 
 
 def scenarios(incomplete: str) -> list[str]:

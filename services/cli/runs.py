@@ -270,3 +270,29 @@ def cancel(
     with command(at_once=True, zenoh_config=zenoh_config):
         cancelling.cancel_on(connect, run)
     out.print(f"{run} is cancelled", soft_wrap=True)
+
+
+def command_run(
+    run: Annotated[str, typer.Argument(help="Its name, as `cogradar query runs` shows it.")],
+    action: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="ACTION...",
+            help="power SHARE; sector blank|normal|double FROM TO; look BEARING DWELLS SHARE; drop TRACK; or end."
+            " Bearings are in degrees from boresight, shares are of the array's power.",
+        ),
+    ],
+    at: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Not before this dwell, counted from 0.")] = 0,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Command a run that goes on; `cogradar query commands` lists what was asked of it, by whom, and from when on."""
+    from cogradar.services.runs.command import command_on
+
+    with command(at_once=True, zenoh_config=zenoh_config):
+        row = command_on(connect, run, action, at)
+    if as_json:
+        print_json(row)
+    else:
+        out.print(f"{run}: {row['action']} from dwell {row['k']} on", soft_wrap=True)

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from cogradar.services.errors import BadInput
-from cogradar.services.metrics.messages import one_run, page
+from cogradar.services.metrics.messages import one_run, orders, page
 from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import order_of
+from cogradar.shared.protocol.orders import text_of
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
@@ -48,6 +50,8 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     if metric == "runs":
         return _runs(store, selection)
     runs = selected(store, selection)
+    if metric == "commands":
+        return _commands(store, selection, runs)
     store.derive(run["run"] for run in runs)
     if len(runs) == 1 and (name := runs[0]["run"]) in store.unreadable:
         raise BadInput(f"run = {name!r}: cannot be read: {store.unreadable[name]}")
@@ -94,6 +98,26 @@ def _runs(store: Store, selection: Selection) -> Rows:
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
     )
     return [row | (_now(store, row) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
+
+
+def _commands(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per command of a run: who asked for what, when, and what became of it."""
+    _whole("commands", selection)
+    found = Rows()
+    for run in runs:
+        (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
+        query = (
+            "SELECT run, n, asker AS 'by', strftime('%Y-%m-%dT%H:%M:%SZ', asked_s, 'unixepoch') AS asked, action, k,"
+            " reason, id, over FROM command WHERE run = ? ORDER BY n"
+        )
+        for row in store.read(query, [run["run"]]):
+            is_over = row.pop("over") or run["status"] != "running"
+            state = "refused" if row["k"] is None else "over" if is_over else "in force"
+            is_pending = state == "in force" and row["k"] > (-1 if newest["k"] is None else newest["k"])
+            action = order_of({"n": row["n"], "k": 0, "action": row["action"]}).action
+            t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
+            found.append(row | {"t": t, "action": text_of(action), "state": "pending" if is_pending else state})
+    return selection.page(found)
 
 
 def _whole(metric: str, selection: Selection) -> None:
@@ -319,9 +343,10 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "picture": _picture,
     "antennas": _antennas,
 }
-METRICS = ("runs", *_SCORED)
+METRICS = ("runs", *_SCORED, "commands")
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
     "one_run": one_run,
     "messages": page,
+    "orders": orders,
     "pictures": _pictures,
 }  # of our own programs

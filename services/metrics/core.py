@@ -1,12 +1,14 @@
 """Metrics: answers people's questions about runs, from the journal that the recorder writes on the same file system.
 
-It keeps nothing that it could not read again, so that it may be killed at any time, and it sends nothing: whatever it
-does takes no time from a run. Checkpoints tell it when there is more to read. Other threads may read its store.
+It keeps nothing that it could not read again, so that it may be killed at any time, and it sends nothing but commands
+of those who ask over HTTP: whatever it does takes no time from a run. Checkpoints tell it when there is more to read.
+Other threads may read its store.
 """
 
 import json
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -18,15 +20,17 @@ from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.schema import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
-from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message
 from cogradar.shared.wire.meter import Measures
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
+COMMANDED_S = 5.0  # for which a command is sent again
+MAX_COMMANDS = 100  # that wait for a tick
 log = logging.getLogger(__name__)
 
 
 class MetricsCore:
-    """Checkpoints in, nothing out; answers to queries."""
+    """Checkpoints in, commands of others out; answers to queries."""
 
     def __init__(self, path: str) -> None:
         """Follow the journal in this file, from when it is there on. Raises BadInput if it is something else."""
@@ -38,6 +42,8 @@ class MetricsCore:
         self._fault = ""  # of the store, that the log has
         self._behind: list[str] = []  # runs of the past that may lack scores
         self._advanced: dict[str, tuple[int, float]] = {}  # durable dwells of runs that go on, and since when
+        self._asked: dict[str, tuple[Command, float]] = {}  # commands that the journal lacks, and until when, by id
+        self._new: deque[Command] = deque(maxlen=MAX_COMMANDS)  # from other threads
         self._reopen()
 
     @property
@@ -48,7 +54,11 @@ class MetricsCore:
     @property
     def has_deferred(self) -> bool:
         """Whether runs of the past have not been scored yet."""
-        return bool(self._behind)
+        return bool(self._behind or self._new)
+
+    def command(self, command: Command) -> None:
+        """Send a command to the recorder, again until the journal has it or some seconds are over; from any thread."""
+        self._new.append(command)
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Score what has become durable, and a piece of the past, so that the next answer has little left to do."""
@@ -60,7 +70,18 @@ class MetricsCore:
             self._fault = str(error)
         else:
             self._fault = self._fault if isinstance(event, Tick) else ""
-        return ()
+        return self._commands(event.now_s) if isinstance(event, Tick) else ()
+
+    def _commands(self, now_s: float) -> Sequence[Message]:
+        """The commands that the journal lacks."""
+        while self._new:
+            new = self._new.popleft()
+            self._asked[new.id] = new, now_s + COMMANDED_S
+        for id_, (command, until_s) in list(self._asked.items()):
+            query = "SELECT 1 FROM command WHERE run = ? AND id = ?"
+            if now_s > until_s or self.store.read(query, [command.run, id_]):
+                del self._asked[id_]
+        return tuple(command for command, _ in self._asked.values())
 
     def _follow(self, event: Event) -> None:
         match event:

@@ -29,6 +29,13 @@ def one_run(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     return [row | {"document": json.loads(document["document"])}]
 
 
+def orders(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """The commands of one run that were granted: number, dwell from which on, and action."""
+    (run,) = one_run(store, parameters)
+    query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL ORDER BY n"
+    return [row | {"action": json.loads(row["action"])} for row in store.read(query, [run["run"]])]
+
+
 def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     """Messages of a run from dwell k on: `k`, and `payloads` in the order of topic and track; no row after the last.
 

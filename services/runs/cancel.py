@@ -37,7 +37,7 @@ def cancel_on(endpoint: str, run: str) -> None:
         raise NoMetrics(f"no metrics service: {error}") from None
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
-        _check_running(session, run)
+        check_running(session, run)
         if cancel(session, bus, [run]):
             raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {run} is cancelled: it may go on")
     except NoAnswer:
@@ -46,7 +46,8 @@ def cancel_on(endpoint: str, run: str) -> None:
         bus.close()
 
 
-def _check_running(session: Session, run: str) -> None:
+def check_running(session: Session, run: str) -> None:
+    """Raises BadInput unless a run goes on."""
     if (found := status(session, run)) == "unknown":
         raise BadInput(f"{run}: no such run")
     if found != "running":

@@ -1,12 +1,13 @@
 """Where HTTP is served: HOST:PORT or the next port that is free, or a socket that another process listens on for us."""
 
 import errno
+import hmac
 import ipaddress
 import os
 import re
 import socket
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cogradar.services.errors import BadInput
@@ -20,6 +21,9 @@ GONE_AFTER_MS = 30_000  # without an acknowledgement
 HERE = ("localhost", "127.0.0.1", "[::1]")
 HOSTS_VARIABLE = "COGRADAR_HTTP_HOSTS"
 TOKEN_VARIABLE, TOKEN_FILE_VARIABLE = "COGRADAR_HTTP_TOKEN", "COGRADAR_HTTP_TOKEN_FILE"
+COMMAND_VARIABLE, COMMAND_FILE_VARIABLE = "COGRADAR_COMMAND_TOKENS", "COGRADAR_COMMAND_TOKENS_FILE"
+_FORM = r"[A-Za-z0-9_.~-]{16,256}"
+_FORM_TEXT = "16 to 256 letters, digits, '_', '.', '~' and '-'"
 _INHERITED = re.compile(r"fd:(\d{1,6})/(.+)")
 _PLACE = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([^\s:/]+)):(\d{1,5})")
 
@@ -30,7 +34,21 @@ class Admitted:
 
     hosts: Collection[str] | None = HERE  # that they are for; None: any
     token: str = ""  # that they show; empty: none
+    commanders: Mapping[str, str] = field(default_factory=dict)  # who may command, by the token that they show
     is_limited: bool = False  # whether each address may ask so often a second and no more
+
+    def commander(self, shown: str) -> str:
+        """Who commands with this token; empty: nobody does."""
+        return next((name for token, name in self.commanders.items() if is_same(shown, token)), "")
+
+    def is_known(self, shown: str) -> bool:
+        """Whether a token opens what is to be read."""
+        return bool(self.token and is_same(shown, self.token)) or bool(self.commander(shown))
+
+
+def is_same(shown: str, token: str) -> bool:
+    """Whether a token is the one that is shown, in a time that tells nothing of it."""
+    return hmac.compare_digest(shown.encode(), token.encode())
 
 
 def listen(text: str) -> socket.socket | None:
@@ -79,16 +97,41 @@ def token() -> str:
     """What whoever asks must show: what COGRADAR_HTTP_TOKEN says, or the first line of the file that
     COGRADAR_HTTP_TOKEN_FILE names; empty: nothing. Raises BadInput.
     """
-    given, source, file = os.environ.get(TOKEN_VARIABLE, ""), TOKEN_VARIABLE, os.environ.get(TOKEN_FILE_VARIABLE, "")
-    if file and not given:
-        source = f"{TOKEN_FILE_VARIABLE}: {file}"
-        try:
-            given = (Path(file).read_text(encoding="utf-8").splitlines() or [""])[0].strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadInput(f"{source}: {getattr(error, 'strerror', None) or 'not a text file'}") from None
-    if (given or file) and not re.fullmatch(r"[A-Za-z0-9_.~-]{16,256}", given):
-        raise BadInput(f"{source}: must be 16 to 256 letters, digits, '_', '.', '~' and '-'")
+    lines, source = _secrets(TOKEN_VARIABLE, TOKEN_FILE_VARIABLE)
+    given = (lines or [""])[0].strip()
+    if source and not re.fullmatch(_FORM, given):
+        raise BadInput(f"{source}: must be {_FORM_TEXT}")
     return given
+
+
+def commanders() -> dict[str, str]:
+    """Who may command runs, by token: NAME:TOKEN, several separated by commas, of COGRADAR_COMMAND_TOKENS, or a line
+    each of the file that COGRADAR_COMMAND_TOKENS_FILE names. Raises BadInput.
+    """
+    lines, source = _secrets(COMMAND_VARIABLE, COMMAND_FILE_VARIABLE)
+    found = dict[str, str]()
+    for given in (part.strip() for line in lines for part in line.split(",")):
+        if not given:
+            continue
+        name, _, shown = given.partition(":")
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,47}", name) or not re.fullmatch(_FORM, shown):
+            raise BadInput(
+                f"{source}: must be NAME:TOKEN, a name of letters and digits; the token must be {_FORM_TEXT}"
+            )
+        found[shown] = name
+    return found
+
+
+def _secrets(variable: str, file_variable: str) -> tuple[list[str], str]:
+    """What a variable says, or the lines of the file that another one names, and which it is. Raises BadInput."""
+    given, file = os.environ.get(variable, ""), os.environ.get(file_variable, "")
+    if given or not file:
+        return [given], variable if given else ""
+    source = f"{file_variable}: {file}"
+    try:
+        return Path(file).read_text(encoding="utf-8").splitlines(), source
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{source}: {getattr(error, 'strerror', None) or 'not a text file'}") from None
 
 
 def url(listener: socket.socket) -> str:

@@ -1,13 +1,11 @@
 """The application: what is served where, what is refused, and who is let go."""
 
 import asyncio
-import hmac
 import time
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs
 
 import h11
@@ -29,12 +27,13 @@ from cogradar.services.metrics.processes import page as page_of
 from cogradar.services.web.address import Admitted
 from cogradar.services.web.events import Feed, events
 from cogradar.services.web.openapi import describe
-from cogradar.services.web.parameters import MAX_QUERY
+from cogradar.services.web.parameters import COOKIE, MAX_QUERY, shown_token
 from cogradar.services.web.problem_documents import API, Problem, of_error
 from cogradar.services.web.run_answers import SCORED, core_of, run, runs, scored
 from cogradar.services.web.shared import VIEW_S, Shared, once
 from cogradar.services.web.static import file, page
 from cogradar.services.web.views.beampattern import beampattern
+from cogradar.services.web.views.commands import commands
 from cogradar.services.web.views.course import Courses, course
 from cogradar.services.web.views.dwells import Encoded, dwells
 from cogradar.services.web.views.particles import Beliefs, particles
@@ -51,7 +50,6 @@ SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
 HEAD_WITHIN_S = 10.0  # the head of a request, or the connection is let go
 RATE_HZ, BURST = 100.0, 300.0  # requests from one address elsewhere
 MAX_ADDRESSES = 1000  # counted apart
-COOKIE = "cogradar"
 UNASKED = ("/healthz", "/readyz")  # that need no token: who starts processes asks them, and they tell nothing
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -99,7 +97,8 @@ ROUTES = (
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
-    *(Route(f"{API}/runs/{{run}}/{metric}", scored(metric)) for metric in SCORED),
+    *(Route(f"{API}/runs/{{run}}/{metric}", scored(metric)) for metric in SCORED if metric != "commands"),
+    Route(f"{API}/runs/{{run}}/commands", commands, methods=["GET", "POST"]),
 )
 
 
@@ -113,7 +112,7 @@ def create(core: MetricsCore, admitted: Admitted | None, interval_s: float) -> S
         lifespan=_lifespan,
     )
     app.router.redirect_slashes = False
-    app.state.core, app.state.encoded = core, Encoded()
+    app.state.core, app.state.encoded, app.state.admitted = core, Encoded(), admitted or Admitted()
     app.state.feed = Feed(core, app.state.encoded, interval_s)
     app.state.views, app.state.one_at_a_time = Shared(VIEW_S), Shared(VIEW_S, CapacityLimiter(1))
     app.state.of_courses = Shared(VIEW_S, CapacityLimiter(COURSES))
@@ -209,11 +208,11 @@ class _Guard:
         except Problem as problem:
             return problem.response()
         shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if scope["path"] == "/" and self._is_token(shown):
+        if scope["path"] == "/" and self._admitted.is_known(shown):
             way = RedirectResponse("/", HTTPStatus.SEE_OTHER, {"Cache-Control": "no-store"})
             way.set_cookie(COOKIE, shown, httponly=True, samesite="strict", secure=scope["scheme"] == "https")
             return way
-        if scope["path"] in UNASKED or not self._admitted.token or self._is_token(_shown(headers)):
+        if scope["path"] in UNASKED or not self._admitted.token or self._admitted.is_known(shown_token(headers)):
             return None
         detail = "a token is needed: Authorization: Bearer TOKEN, or the page with ?token=TOKEN"
         return Problem(HTTPStatus.UNAUTHORIZED, detail, {"WWW-Authenticate": "Bearer"}).response()
@@ -234,10 +233,6 @@ class _Guard:
             detail = f"more than {RATE_HZ:.0f} requests a second from this address"
             raise Problem(HTTPStatus.TOO_MANY_REQUESTS, detail, {"Retry-After": "1"})
 
-    def _is_token(self, shown: str) -> bool:
-        token = self._admitted.token
-        return bool(token) and hmac.compare_digest(shown.encode(), token.encode())
-
     def _has_left(self, address: str) -> bool:
         """Whether an address may ask once more, by a bucket of BURST requests that fills with RATE_HZ."""
         now = time.monotonic()
@@ -248,15 +243,3 @@ class _Guard:
         if len(self._left) > MAX_ADDRESSES:
             self._left.popitem(last=False)
         return left >= 0.0
-
-
-def _shown(headers: Mapping[str, str]) -> str:
-    """The token that a request shows."""
-    scheme, _, given = headers.get("authorization", "").partition(" ")
-    if scheme.lower() == "bearer":
-        return given.strip()
-    try:
-        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-    except CookieError:
-        return ""
-    return "" if cookie is None else cookie.value

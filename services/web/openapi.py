@@ -24,6 +24,7 @@ _TEXTS = {
     "confirmation": "How soon visible targets got a confirmed track, if their number is unknown.",
     "picture": "One row per run, of all targets together: GOSPA, completeness, spuriousness, swaps, false tracks.",
     "antennas": "One row per run and transmit antenna: power and its peak over the mean, over stored waveforms.",
+    "commands": "One row per command: who asked for what, when, from which dwell on, and what became of it.",
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }
 _FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}
@@ -75,6 +76,7 @@ def describe() -> dict[str, Any]:
     for metric, parameters in SCORED.items():
         text = _TEXTS[metric] + _ALL_RUNS
         paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), parameters, run=True, tagged=True)
+    paths[f"{runs}/{{run}}/commands"] |= _command()
     return {
         "openapi": "3.1.0",
         "info": {
@@ -110,6 +112,25 @@ def _file() -> dict[str, Any]:
     found = _get("A file of the page.", {kind: {} for kind in sorted(media_types)}, faults=faults, tagged=True)
     found["get"]["parameters"] = [described("name", "path")]
     return found
+
+
+def _command() -> dict[str, Any]:
+    text = "Command a run that goes on, with the token of a commander: its row of `commands`, once it is granted."
+    faults = {
+        "400": "The body is not what it must be.",
+        "403": "Commands are disabled, the token is no commander's, or the script of another page asks.",
+        "404": "There is no such run.",
+        "409": "The run has ended, or the recorder refuses; `detail` says why.",
+        "413": "The body is too long.",
+        "415": "The body is not said to be JSON.",
+        "503": _FAULTS["503"],
+        "504": "No recorder has confirmed it.",
+    }
+    responses: dict[str, Any] = {"201": {"description": "It is granted.", "content": _json("CommandRow")}}
+    responses |= {status: _problem(what) for status, what in (_AT_THE_DOOR | faults).items()}
+    body = {"required": True, "content": _json("CommandDocument")}
+    said = {"summary": text, "parameters": [described("run", "path")], "requestBody": body, "responses": responses}
+    return {"post": said}
 
 
 def _events() -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """What may be asked for in a URL: each parameter's type, which is both checked and described."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from http.cookies import CookieError, SimpleCookie
 from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
@@ -13,6 +14,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 
 MAX_ROWS = 1000  # of a page
 MAX_QUERY = 2048  # bytes
+COOKIE = "cogradar"  # with the token of the page
 _MAX_DWELL = 2**31 - 1
 
 _TYPES: dict[str, tuple[Any, str]] = {
@@ -88,3 +90,15 @@ def described(name: str, where: str = "query") -> dict[str, Any]:
     """A parameter as OpenAPI has it."""
     head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
     return {**head, "description": _TYPES[name][1]}
+
+
+def shown_token(headers: Mapping[str, str]) -> str:
+    """The token that a request shows, by its headers; empty: none."""
+    scheme, _, given = headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return given.strip()
+    try:
+        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except CookieError:
+        return ""
+    return "" if cookie is None else cookie.value

@@ -26,7 +26,7 @@ OF_SCORES = tuple(name for name in PARAMETERS if name != "run")
 OF_PICTURES = tuple(name for name in OF_SCORES if name not in {"target", "dwells"})
 # Metrics with an address of their own, and what they may be asked.
 SCORED = dict.fromkeys(("summary", "p_d", "rmse", "consistency", "tracks"), OF_SCORES) | dict.fromkeys(
-    ("confirmation", "picture"), OF_PICTURES
+    ("confirmation", "picture", "commands"), OF_PICTURES
 )
 SCORED["antennas"] = tuple(name for name in OF_SCORES if name != "target")
 _FINISHED = ("complete", "failed")

@@ -1,11 +1,12 @@
 """The answers as types, for their description: one for each kind of row that metrics gives, under the same names."""
 
-from typing import Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, Field, create_model
 
 from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from cogradar.shared.protocol.fields import RunId
+from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -171,6 +172,68 @@ class AntennaRow(Document):
     papr_max_db: float
 
 
+class CommandRow(Document):
+    """A command of a run, and what became of it."""
+
+    run: str
+    n: int = Field(description="Its number in the run; a waveform names those that it obeys.")
+    by: str = Field(description="Who asked.")
+    asked: str = Field(description="When the recorder received it, in UTC.")
+    action: str = Field(description="As `cogradar command` takes it.")
+    k: int | None = Field(description="The first dwell under it, counted from 0; null: it was refused.")
+    t: int | None = Field(description="The same by the clock of the run, from 1; null during an acquisition.")
+    state: Literal["pending", "in force", "over", "refused"]
+    reason: str = Field(description="Why it was refused.")
+    id: str
+
+
+class PowerDocument(Document):
+    """Transmit with at most this share of the array's power, until another limit is set."""
+
+    kind: Literal["power"]
+    share: float = Field(ge=LEAST_POWER, le=1.0)
+
+
+class SectorDocument(Document):
+    """Search a sector never, once or twice in each sweep; bearings are in degrees from boresight."""
+
+    kind: Literal["sector"]
+    from_deg: float = Field(ge=-90, le=90)
+    to_deg: float = Field(ge=-90, le=90)
+    search: Literal["blank", "normal", "double"]
+
+
+class LookDocument(Document):
+    """One more beam in this direction, for some dwells."""
+
+    kind: Literal["look"]
+    bearing_deg: float = Field(ge=-90, le=90)
+    dwells: int = Field(ge=1, le=MAX_LOOK_DWELLS)
+    share: float = Field(ge=LEAST_POWER, le=MAX_LOOKS, description="Of the power.")
+
+
+class DropDocument(Document):
+    """End a track, counted from 1."""
+
+    kind: Literal["drop"]
+    track: int = Field(ge=1, lt=2**31)
+
+
+class EndDocument(Document):
+    """End the run, complete with the dwells before."""
+
+    kind: Literal["end"]
+
+
+class CommandDocument(Document):
+    """What is asked of a run."""
+
+    action: Annotated[
+        PowerDocument | SectorDocument | LookDocument | DropDocument | EndDocument, Field(discriminator="kind")
+    ]
+    at: int = Field(default=0, ge=0, lt=2**31, description="Not before this dwell, counted from 0.")
+
+
 class ProcessRow(Document):
     """A process.
 
@@ -232,7 +295,8 @@ PAGES: dict[str, type[BaseModel]] = {
     "consistency": ConsistencyRow,
     "confirmation": ConfirmationRow,
     "antennas": AntennaRow,
+    "commands": CommandRow,
     "summary": SummaryRow,
     "picture": PictureRow,
 }
-DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Processes, Status, ProblemDocument)
+DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, CommandDocument, Processes, Status, ProblemDocument)

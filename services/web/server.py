@@ -4,11 +4,21 @@ import asyncio
 import logging
 import socket
 import threading
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.web.address import HERE, TOKEN_VARIABLE, Admitted, allowed, is_loopback, listen, token, url
+from cogradar.services.web.address import (
+    HERE,
+    TOKEN_VARIABLE,
+    Admitted,
+    allowed,
+    commanders,
+    is_loopback,
+    listen,
+    token,
+    url,
+)
 
 if TYPE_CHECKING:
     import uvicorn
@@ -29,7 +39,9 @@ class ServedMetrics(MetricsCore):
         super().__init__(path)
         listener = listen(http)
         self._server = (
-            None if listener is None else Server(self, listener, hosts=allowed(listener, http), token=token())
+            None
+            if listener is None
+            else Server(self, listener, hosts=allowed(listener, http), token=token(), commanders=commanders())
         )
 
     def close(self) -> None:
@@ -49,9 +61,10 @@ class Server:
         interval_s: float = INTERVAL_S,
         hosts: Collection[str] | None = HERE,
         token: str = "",
+        commanders: Mapping[str, str] | None = None,
     ) -> None:
-        """For requests to these hosts, None: to any; that show this token, empty: or none."""
-        self._admitted = Admitted(hosts, token, is_limited=not is_loopback(listener))
+        """For requests to these hosts, None: to any; that show this token, empty: or none. Commanders by token."""
+        self._admitted = Admitted(hosts, token, commanders or {}, is_limited=not is_loopback(listener))
         self._serving: tuple[Starlette, uvicorn.Server] | None = None
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, args=(core, listener, interval_s), name="http", daemon=True)

@@ -5,6 +5,7 @@ import { listen } from "./keys.js";
 import { isDark, onTheme, setTheme } from "./palette.js";
 import { Charts } from "./charts.js";
 import { Machines } from "./machines.js";
+import { Orders } from "./orders.js";
 import { Radar } from "./radar.js";
 import { Runs, newestOf } from "./runs.js";
 import * as says from "./says.js";
@@ -20,6 +21,7 @@ const session = new Session(radar);
 const machines = new Machines();
 new Alarms(session);
 const runs = new Runs(listed);
+const orders = new Orders();
 
 function listed(rows, problem) {
   if (problem) {
@@ -155,5 +157,6 @@ views();
 if (view.run !== null) session.open(view.run);
 runs.refresh();
 setInterval(() => {
+  if (!document.hidden) orders.watch(session.player.isRunning ? view.run : null);
   if (!document.hidden && (view.view === "runs" || !session.player.isRunning)) runs.refresh();
 }, LOOK_MS);

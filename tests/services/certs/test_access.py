@@ -13,8 +13,8 @@ import zenoh
 from cogradar.services.certs import access, names
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.build import build
-from cogradar.shared.protocol.messages import Message, Plan, Scan
-from cogradar.shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
+from cogradar.shared.protocol.messages import Command, Message, Plan, Scan
+from cogradar.shared.protocol.permissions import COMMANDER, HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
 from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
 from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
 from cogradar.shared.wire.bus import Inbox
@@ -43,7 +43,13 @@ def test_the_table_of_topics_is_what_each_role_may_do(secured: Secured) -> None:
                 session.declare_subscriber(topic.pattern("*"), take)
             session.declare_subscriber("cogradar/**", take)
             session.declare_subscriber("**", take)
-        expected = {(topic.name, str(topic.producer), reader) for topic in TOPICS for reader in _readers(topic.message)}
+        expected = {
+            (topic.name, str(holder), reader)
+            for topic in TOPICS
+            for holder in HOLDERS
+            if holder == topic.producer or (topic.message is Command and holder in {COMMANDER, Role.METRICS})
+            for reader in _readers(topic.message)
+        }
 
         def sent() -> bool:
             for holder, session in senders.items():
@@ -70,7 +76,7 @@ def _sessions(secured: Secured) -> Iterator[dict[str, zenoh.Session]]:
 
 
 def _readers(message: type[Message]) -> set[str]:
-    observers = set() if message in OF_THE_WORLD else {OBSERVER}
+    observers = set() if message in OF_THE_WORLD else {OBSERVER, COMMANDER}
     return {*map(str, BY_MESSAGE[message].readers), *observers}
 
 
@@ -83,7 +89,7 @@ def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured
                 kept.append(session.liveliness().declare_token(_key(ALIVE, role, holder)))
                 kept += [_answering(session, _key(form, role, holder), holder) for form in (TIMESTAMPS, EXPOSITION)]
             kept.append(_answering(session, QUERY.format(metric="runs"), holder))
-        processes = set(HOLDERS) - {OBSERVER, Role.ROUTER}
+        processes = set(HOLDERS) - {OBSERVER, COMMANDER, Role.ROUTER}
         shown = {role: [str(role)] for role in Role if role in processes}
         assert until(lambda: all(alive(session, build()).names == shown for session in askers.values()))
         time.sleep(SETTLE_S)
@@ -91,7 +97,7 @@ def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured
             assert alive(session, build()).names == shown
         own = {f"{role}/{role}" for role in processes}
         expected: dict[tuple[str, str], set[str]] = {(asker, form): set() for asker in HOLDERS for form in FORMS}
-        expected |= {(asker, QUERY): {"metrics"} for asker in (Role.OPERATOR, Role.METRICS, OBSERVER)}
+        expected |= {(asker, QUERY): {"metrics"} for asker in (Role.OPERATOR, Role.METRICS, OBSERVER, COMMANDER)}
         expected |= {(Role.OPERATOR, TIMESTAMPS): own, (Role.METRICS, EXPOSITION): own}
         assert {(asker, form): _answers(askers[asker], form) for asker in HOLDERS for form in FORMS} == expected
 
@@ -183,8 +189,10 @@ def test_truth_and_questions_are_for_few() -> None:
     reading = {holder: set(permitted(holder).get(Act.READ, ())) for holder in HOLDERS}
     truth = next(topic.pattern("*") for topic in TOPICS if topic.name == "truth")
     assert {holder for holder, keys in reading.items() if truth in keys} == {Role.RECORDER}
-    assert {holder for holder in HOLDERS if Act.ASK in permitted(holder)} == {Role.OPERATOR, Role.METRICS, OBSERVER}
+    asking = {holder for holder in HOLDERS if Act.ASK in permitted(holder)}
+    assert asking == {Role.OPERATOR, Role.METRICS, OBSERVER, COMMANDER}
     assert set(permitted(OBSERVER)) == {Act.READ, Act.ASK, Act.SEE}
+    assert permitted(COMMANDER) == permitted(OBSERVER) | {Act.SEND: (BY_MESSAGE[Command].pattern("*"),)}
     assert set(permitted(Role.ROUTER)) == {Act.SEE}
 
 

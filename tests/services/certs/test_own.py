@@ -116,8 +116,9 @@ def test_a_service_starts_under_the_name_with_its_slots(
     ("certificate", "arguments", "needed"),
     [
         ("observer.wall", ["service", "planner"], "planner.NAME"),
-        ("planner.a", ["query", "runs"], "operator.NAME or metrics.NAME or observer.NAME"),
+        ("planner.a", ["query", "runs"], "operator.NAME or metrics.NAME or observer.NAME or commander.NAME"),
         ("observer.wall", ["cancel", "r"], "operator.NAME"),
+        ("observer.wall", ["command", "r", "end"], "operator.NAME or commander.NAME"),
         ("observer.wall", ["run", "smoke"], "operator.NAME"),
         ("observer.wall", ["run", "smoke", "--detach"], "operator.NAME"),
     ],

@@ -63,6 +63,7 @@ def test_all_names_are_offered_for_nothing() -> None:
         "summary",
         "picture",
         "antennas",
+        "commands",
     ]
     assert set(_completed("cogradar bench kernels ")) == set(KERNELS)
 

@@ -243,7 +243,7 @@ def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> Non
         answer(_recorded(sent), "speed", {})
     assert str(caught.value) == (
         "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, confirmation, summary, picture,"
-        " antennas"
+        " antennas, commands"
     )
 
 

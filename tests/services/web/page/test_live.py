@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from cogradar.services.runs import cluster
+from cogradar.services.runs.command import command_on
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -51,6 +52,16 @@ def test_looking_back_and_live_again(live: Live, show: Open) -> None:
     expect(page.locator("#connection")).to_have_text("Live")
     shown, newest = "document.querySelector('#dwell').textContent", "document.querySelector('#scrub').ariaValueText"
     until(page, f"Number({shown}) >= Number({newest}.split(' ').pop()) - 3")  # the dwell is drawn a frame later
+
+
+def test_orders_in_force_are_shown_with_who_asked(live: Live, show: Open) -> None:
+    page = show(live.page)
+    wait_for_dwell(page, 3)
+    expect(page.locator("#orders")).to_be_hidden()
+    row = command_on(live.launcher.endpoint, live.run, ["power", "0.9"])
+    expect(page.locator("#orders li")).to_have_text(f"power 0.9 since dwell {row['t']}, {row['by']}")
+    command_on(live.launcher.endpoint, live.run, ["power", "1"])
+    expect(page.locator("#orders")).to_be_hidden()
 
 
 def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, show: Open) -> None:

@@ -1,0 +1,77 @@
+"""Commands to runs on services that are up. Any message may be lost, so one is sent until metrics shows it."""
+
+import getpass
+import json
+import socket
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from cogradar.services.certs import own
+from cogradar.services.errors import BadInput, NoMetrics, RunFailed
+from cogradar.services.metrics.client import CONNECT_WITHIN_S
+from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S, check_running
+from cogradar.shared.protocol.messages import Command
+from cogradar.shared.protocol.orders import parsed
+from cogradar.shared.protocol.permissions import COMMANDER
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.queries import NoAnswer, ask
+from cogradar.shared.wire.session import Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
+
+WITHIN_S = 5.0
+
+
+def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> dict[str, Any]:
+    """Command a run on services that are up, in words; the row that `commands` has of it, granted.
+
+    Raises NoMetrics if nobody answers, BadInput if the words are no action, there is no such run, it is over, the
+    certificate is another role's, or the recorder refuses, RunFailed if nobody confirms.
+    """
+    try:
+        action = parsed(words)
+    except ValueError as error:
+        raise BadInput(str(error)) from None
+    certificate = own.check(endpoint, (Role.OPERATOR, COMMANDER))
+    try:
+        session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
+    except ConnectionError as error:
+        raise NoMetrics(f"no metrics service: {error}") from None
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
+    try:
+        check_running(session, run)
+        command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
+        row = _confirmed(session, lambda: bus.publish(command), command)
+    except NoAnswer:
+        raise NoMetrics(f"no metrics service answers at {endpoint}") from None
+    finally:
+        bus.close()
+    if row["state"] == "refused":
+        raise BadInput(f"{run}: refused: {row['reason']}")
+    return row
+
+
+def _confirmed(session: Session, send: Callable[[], None], command: Command) -> dict[str, Any]:
+    """The row of a command, which is sent until there is one. Raises RunFailed."""
+    deadline = time.monotonic() + WITHIN_S
+    while time.monotonic() < deadline:
+        send()
+        time.sleep(POLL_S)
+        try:
+            rows: list[dict[str, Any]] = json.loads(ask(session, "commands", {"run": command.run}, ANSWER_WITHIN_S))
+        except NoAnswer:
+            continue
+        if found := [row for row in rows if row["id"] == command.id]:
+            return found[0]
+    raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
+
+
+def _user() -> str:
+    """Who asks, where no certificate says it."""
+    try:
+        name = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in a container
+        name = "somebody"
+    told = f"{name}@{socket.gethostname()}"
+    return "".join(one if " " <= one <= "~" else "?" for one in told)[:100]

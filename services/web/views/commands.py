@@ -1,0 +1,108 @@
+"""Commands over HTTP: what a commander asks of a run goes to the recorder, and its answer comes back by the journal."""
+
+import asyncio
+import json
+import time
+import uuid
+from http import HTTPStatus
+from typing import Any
+
+from anyio.to_thread import run_sync
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.web.address import COMMAND_VARIABLE, Admitted
+from cogradar.services.web.parameters import shown_token
+from cogradar.services.web.problem_documents import Problem, bad, missing
+from cogradar.services.web.run_answers import core_of, run_of, scored
+from cogradar.shared.protocol.messages import Command
+from cogradar.shared.protocol.orders import action_of
+
+WITHIN_S = 5.0
+POLL_S = 0.05
+MAX_BODY = 4096  # bytes
+MAX_DWELL = 2**31 - 1
+
+
+_listed = scored("commands")
+
+
+async def commands(request: Request) -> Response:
+    """Those of a run; or, of a POST, one more."""
+    return await (_command(request) if request.method == "POST" else run_sync(_listed, request))
+
+
+async def _command(request: Request) -> Response:
+    """Command a run: its row of `commands` once the recorder has granted it."""
+    by, run, core = _commander(request), run_of(request), core_of(request)
+    document = await _document(request)
+    try:
+        action = action_of(document["action"])
+    except ValueError as error:
+        raise bad(str(error)) from None
+    status = await run_sync(_status, core, run)
+    if status is None:
+        raise missing(f"run = {run!r}: no such run")
+    if status != "running":
+        raise Problem(HTTPStatus.CONFLICT, f"run = {run!r}: has ended already ({status})")
+    asked = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
+    core.command(asked)
+    until = time.monotonic() + WITHIN_S
+    while (row := await run_sync(_row, core, asked)) is None:
+        if time.monotonic() > until:
+            detail = f"no recorder confirmed it within {WITHIN_S:.0f} s: it may still be granted; GET this address says"
+            raise Problem(HTTPStatus.GATEWAY_TIMEOUT, detail)
+        await asyncio.sleep(POLL_S)
+    if row["state"] == "refused":
+        raise Problem(HTTPStatus.CONFLICT, f"refused: {row['reason']}")
+    return JSONResponse(row, HTTPStatus.CREATED, headers={"Cache-Control": "no-store"})
+
+
+def _commander(request: Request) -> str:
+    """Who asks. Raises Problem."""
+    admitted: Admitted = request.app.state.admitted
+    if not admitted.commanders:
+        detail = f"commands are disabled: start metrics with {COMMAND_VARIABLE}=NAME:TOKEN, then show the token"
+        raise Problem(HTTPStatus.FORBIDDEN, f"{detail}: Authorization: Bearer TOKEN")
+    shown = shown_token(request.headers)
+    if not shown:
+        headers = {"WWW-Authenticate": "Bearer"}
+        raise Problem(HTTPStatus.UNAUTHORIZED, "a commander's token is needed: Authorization: Bearer TOKEN", headers)
+    if not (name := admitted.commander(shown)):
+        raise Problem(HTTPStatus.FORBIDDEN, f"this token is no commander's: {COMMAND_VARIABLE} of metrics has those")
+    return name
+
+
+async def _document(request: Request) -> dict[str, Any]:
+    """The body: `action`, and `at`. Raises Problem."""
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+        raise Problem(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Content-Type: must be application/json")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY:
+            raise Problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body is longer than {MAX_BODY} bytes")
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        raise bad("the body is no JSON") from None
+    if not isinstance(document, dict) or not set(document) <= {"action", "at"}:
+        raise bad("the body: must be an object of action and, if not at once, at")
+    if not isinstance(document.get("action"), dict):
+        raise bad('action: must be an object such as {"kind": "power", "share": 0.5}')
+    at = document.get("at", 0)
+    if type(at) is not int or not 0 <= at <= MAX_DWELL:
+        raise bad(f"at: must be a dwell, 0 .. {MAX_DWELL}")
+    return document
+
+
+def _status(core: MetricsCore, run: str) -> str | None:
+    rows = core.store.read("SELECT status FROM run WHERE run = ?", [run])
+    return str(rows[0]["status"]) if rows else None
+
+
+def _row(core: MetricsCore, asked: Command) -> dict[str, Any] | None:
+    rows = answer(core.store, "commands", {"run": asked.run})
+    return next((row for row in rows if row["id"] == asked.id), None)

@@ -1,0 +1,94 @@
+"""Commands to a run on real processes, by the command line and over HTTP; what it was is played again to the bit."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from cogradar.services import kernels
+from cogradar.services.analysis.replay import replay
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.client import open_store
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
+from cogradar.services.web.address import COMMAND_VARIABLE
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from tests.skies import small_sky
+
+TOWERS = "c0mmander-of-the-tower"
+RATE_HZ = 10.0
+
+
+@pytest.fixture
+def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Launcher, Path]]:
+    """Services with HTTP and one commander, and the store that they keep."""
+    monkeypatch.setenv(COMMAND_VARIABLE, f"tower:{TOWERS}")
+    kernels.compile_all(lambda _: None)
+    store = tmp_path / "runs.db"
+    with Launcher(LocalProcesses(1, str(store), http="127.0.0.1:0"), threading.Event()) as launcher:
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        yield launcher, store
+
+
+def _until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def _command(run: str, action: str, endpoint: str) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "cogradar", "command", run, *action.split(), "--connect", endpoint]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False, env=os.environ)
+
+
+@pytest.mark.zenoh
+def test_a_run_is_commanded_ends_by_a_command_and_is_played_again(system: tuple[Launcher, Path]) -> None:
+    launcher, store = system
+    start = RunStart.of(small_sky("radar.search.beams=4"), Strategy.POWER_AWARE, 1, 100_000, RATE_HZ)
+    run = start.run
+    distributed.start_on(launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
+    assert launcher.url is not None
+    with httpx.Client(base_url=f"{launcher.url}/api/v1/runs", timeout=30.0) as web:
+
+        def post(action: dict[str, Any]) -> httpx.Response:
+            return web.post(f"{run}/commands", json={"action": action}, headers={"Authorization": f"Bearer {TOWERS}"})
+
+        _until(lambda: web.get(run).json()["t"] > 5)
+        granted = post({"kind": "power", "share": 0.5})
+        assert (granted.status_code, granted.json()["by"]) == (201, "tower")
+        done = _command(run, "sector blank -90 -5", launcher.endpoint)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith(f"{run}: sector blank -90 -5 from dwell ")
+        assert post({"kind": "look", "bearing_deg": 30.0, "dwells": 5, "share": 0.2}).status_code == 201
+        refused = _command(run, "drop 5000", launcher.endpoint)
+        assert (refused.returncode, refused.stderr) == (2, f"{run}: refused: there is no track 5000\n")
+        last = web.get(f"{run}/commands").json()["rows"][2]["k"] + 10
+        _until(lambda: web.get(run).json()["k"] > last)
+        states = [row["state"] for row in web.get(f"{run}/commands").json()["rows"]]
+        assert states == ["in force", "in force", "over", "refused"]
+        assert post({"kind": "end"}).status_code == 201
+        _until(lambda: web.get(run).json()["status"] == "complete")
+        rows = web.get(f"{run}/commands").json()["rows"]
+    assert [row["by"] for row in rows][::2] == ["tower"] * 3
+    opened = open_store(str(store))
+    try:
+        ask = partial(answer, opened)
+        ended = rows[4]["k"]
+        (row,) = ask("runs", {"run": run})
+        assert row["k"] == ended - 1
+        outcome = replay(StoredRun(ask, run), "allocator")
+        assert outcome.difference is None
+        assert outcome.agreed > 0.8 * ended
+    finally:
+        opened.close()
