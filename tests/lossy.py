@@ -9,7 +9,8 @@ from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, Ground
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
-COLUMNS = {field.name for field in fields(ScanData)} - {"beams", "beam_nus", "gates", "roster", "unmeasured", "fault"}
+_OTHERS = {"beams", "beam_nus", "gates", "roster", "unmeasured", "lost_km", "fault"}
+COLUMNS = {field.name for field in fields(ScanData)} - _OTHERS
 
 
 class LossyFrontEnd:

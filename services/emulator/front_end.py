@@ -25,7 +25,7 @@ from cogradar.shared.signal.detector.data_set import DataSet, Processing
 from cogradar.shared.signal.detector.levels import FEWEST_REFERENCES, references
 from cogradar.shared.signal.detector.reception import LookTable
 from cogradar.shared.signal.detector.reception import receive as measured_of
-from cogradar.shared.signal.looks import NO_RANGE, Look, Measured
+from cogradar.shared.signal.looks import NO_RANGE, Look, Measured, range_cell_centre, range_cells
 from cogradar.shared.signal.receiver import Cell
 from cogradar.shared.signal.waveform import Signatures
 
@@ -102,6 +102,7 @@ class ScanData:
     roster: Roster | None = None  # of a recording: the tracks whose beams these are, if their number is unknown
     # (u,) directions that were asked for and are left out; None: as far as `beams` is given, there are none
     unmeasured: NDArray[np.float64] | None = None
+    lost_km: NDArray[np.float64] | None = None  # (v,) centres of range cells that were asked for and not received
     fault: str | None = None  # why nothing was measured
 
     @classmethod
@@ -142,7 +143,8 @@ def receive(
     data : (n_tx, n_rx) complex, Y after matched filtering: a row for each transmitted waveform, a column for each
            receive antenna; with range cells one of each, by number: cell i begins at i times
            `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there.
-           A look without any data is left out; one with data of some of its range cells says what it detects there.
+           A look without any data is left out, and a track's look without the data of one of its range cells. A look
+           at all ranges reports what was received, and `lost_km` what was not. Detections change nothing of this.
     Raises SenselessScan if data have another shape.
     """
     array, width_km = radar.array, radar.receiver.range_cell_km
@@ -165,12 +167,13 @@ def receive(
             f'there are data of {len(by_cell)} range cells, radar.receiver.noise = "range-cells" needs'
             f" {FEWEST_REFERENCES} at least"
         )
-    rows = measured_of(waveform.looks, received, known, width_km, others=others)
-    if len(known) < len(asked):  # of a look that is incomplete it is not known that there is nothing
-        there, is_merged = set(known), [one.look.is_merged for one in rows]
-        is_said = [one.cell.statistic >= one.look.limit or there.issuperset(one.look.cells) for one in rows]
-        rows = [one for one, *kept in zip(rows, is_merged, is_said, strict=True) if any(kept)]
-    return ScanData.of_looks(rows)
+    if not (lost := sorted(asked - by_cell.keys())):
+        return ScanData.of_looks(measured_of(waveform.looks, received, known, width_km, others=others))
+    everywhere = range_cells(*radar.acquisition.ranges_km, width_km) if width_km > 0.0 else range(0)
+    # A miss is not believed of a look that is incomplete. So its detections must not be, either.
+    looks = [look for look in waveform.looks if look.cells == everywhere or set(look.cells).isdisjoint(lost)]
+    scan = ScanData.of_looks(measured_of(looks, received, known, width_km, others=others))
+    return replace(scan, lost_km=np.array([range_cell_centre(cell, width_km) for cell in lost]))
 
 
 def calibrate(

@@ -74,6 +74,8 @@ def check_scan(scan: Scan, radar: RadarConfig) -> None:
     complete = bins.size == n_bin and np.unique(bins).size == n_bin
     check_parts(scan, radar)
     check_roster(scan.roster, scan.beams, radar, scan.k)
+    if scan.lost_km is not None and not radar.receiver.range_cell_km > 0.0:
+        raise Refused("scan with lost range cells, there are none")
     if bins.max() >= n_bin or (scan.t == 0 and not complete):
         raise Refused(f"scan of {bins.size} cells up to {bins.max()}")
     if scan.unmeasured is not None and not np.isin(scan.beams, [-1, *bins.tolist()]).all():

@@ -184,6 +184,8 @@ class Scan(Message):
     roster: Roster | None = None  # that of the waveform, if the number of tracks is unknown
     # (u,) directions of the looks that were asked for and were not measured, ascending; None: all were measured.
     unmeasured: Floats | None = None
+    # (v,) centres of range cells that were asked for and not received, ascending; None: all were received.
+    lost_km: Measured | None = None
     fault: Annotated[str, Field(max_length=MAX_FAULT)] | None = None  # why nothing was measured, if that is known
 
     @model_validator(mode="after")
@@ -200,6 +202,8 @@ class Scan(Message):
             raise ValueError("bins must be at least one, without a fault, unless something is unmeasured")
         elif not {-1, *self.bins.tolist()}.issuperset(self.beams.ravel().tolist()):
             raise ValueError("every beam must be one of bins, or -1")
+        if self.lost_km is not None and (self.lost_km.size == 0 or (self.lost_km[1:] <= self.lost_km[:-1]).any()):
+            raise ValueError("lost_km must be ranges, at least one, ascending")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_beams(self.beams, self.beam_nus, self.gates, self.roster)

@@ -78,10 +78,11 @@ class ScanRows(NamedTuple):
         return np.asarray(detected), np.asarray(power), np.asarray(lit)
 
     def misses_looks(self, scan: Detections, states: Floats) -> Bools:
-        """Whether a look that hears a target, (M, 4), was asked for and not measured, (M,)."""
+        """Whether a look that hears a target, (M, 4), was asked for and not measured, at its range at least, (M,)."""
+        is_lost = scan.is_lost(np.hypot(states[:, 0], states[:, 2]), self.response.range_cell_km)
         if scan.unmeasured is None:
-            return np.zeros(len(states), dtype=np.bool_)
-        return np.asarray((self.response.loss(scan.unmeasured - self._echoes_from(states)) > 0.0).any(axis=1))
+            return is_lost
+        return is_lost | (self.response.loss(scan.unmeasured - self._echoes_from(states)) > 0.0).any(axis=1)
 
     def row_of_beam(self, scan: MessageFields, track: int) -> int:
         """The row of the largest statistic in the brightest look of a track, counted from 0; -1: none was lit."""

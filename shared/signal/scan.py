@@ -30,6 +30,7 @@ class _Rows(NamedTuple):
     beam_nus: Floats  # (M, L) directions of `beams`; 0 where there is none
     gates: Floats  # (M, 2) ranges that were tested for each track, km; (0, 0): all
     unmeasured: Floats | None = None  # (u,) directions of looks that were asked for and have no row; None: all have one
+    lost_km: Floats | None = None  # (v,) centres of range cells in which no look measured; None: there are none
     # Tracks of an unknown number only.
     ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
     # (M, 5) nu, its standard deviation, range, its standard deviation in km, probability of existence
@@ -72,6 +73,12 @@ class Detections(_Rows):
     def is_unmeasured(self, nus: Floats) -> bool:
         """Whether one of the looks in these directions, (n,), was not measured."""
         return self.unmeasured is not None and (self.nus.size == 0 or bool(np.isin(nus, self.unmeasured).any()))
+
+    def is_lost(self, ranges_km: Floats, width_km: float) -> NDArray[np.bool_]:
+        """Whether nothing was measured at these ranges, (...), with range cells of this width; (...)."""
+        if self.lost_km is None:
+            return np.zeros(ranges_km.shape, dtype=np.bool_)
+        return np.isin(np.floor(ranges_km / width_km), np.floor(self.lost_km / width_km))
 
     def is_over(self, rows: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
         """Whether rows are detections, (n,)."""

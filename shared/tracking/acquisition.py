@@ -74,6 +74,15 @@ class _RangeCells(NamedTuple):
         return np.log(np.maximum(1.0 - n_near / self.n_test, _TINY))
 
 
+class _Seen(NamedTuple):
+    """What a scan says of its rows."""
+
+    r: Floats  # (n_row,)
+    ranges_km: Floats  # (n_row,)
+    sigma_hat: Floats  # (n_row,)
+    lost_km: Floats | None  # (v,)
+
+
 class Candidates:
     """How probable a target is in each position, scan by scan: a bin or, with range cells, a bin and a range.
 
@@ -101,7 +110,7 @@ class Candidates:
         self._known = set[tuple[int, float]]()  # rows and ranges of the positions
         self._log_ratios = np.zeros((0, self._amplitudes(np.zeros(0)).shape[1]))  # (n, n_hypothesis)
         self._totals = np.zeros(0)  # (n,) sums of the statistics of a position
-        self._seen = list[tuple[Floats, Floats, Floats]]()  # r, ranges and sigma_hat of each scan, (n_row,) each
+        self._seen = list[_Seen]()
         # Of both ends: sum over scans of alpha_hat beside the end times the conjugate of that at the end.
         self._beside = np.zeros(2, dtype=np.complex128)
         for scan in scans:
@@ -110,7 +119,7 @@ class Candidates:
     def add(self, scan: Detections) -> None:
         """Take the next scan."""
         scale = np.divide(self._limit, scan.limits, out=np.ones(scan.limits.size), where=scan.limits > 0.0)
-        self._seen.append((np.sqrt(0.5 * scan.statistic * scale), scan.ranges_km, scan.sigma_hat))
+        self._seen.append(_Seen(np.sqrt(0.5 * scan.statistic * scale), scan.ranges_km, scan.sigma_hat, scan.lost_km))
         where, rows = self._positions
         self._log_ratios += self._ratios(where[:, 1], rows, self._seen[-1])
         self._begin(scan)
@@ -152,8 +161,8 @@ class Candidates:
             return
         begun = sum(self._ratios(ranges_km[new], new, seen) for seen in self._seen)
         totals = sum(
-            np.where(self._cells.is_near(ranges_km[new], at[new]), 2.0 * one[new] ** 2, 0.0)
-            for one, at, _ in self._seen[:-1]
+            np.where(self._cells.is_near(ranges_km[new], one.ranges_km[new]), 2.0 * one.r[new] ** 2, 0.0)
+            for one in self._seen[:-1]
         )
         self._known |= {(i, ranges[i]) for i in new.tolist()}
         where, rows = self._positions
@@ -162,11 +171,13 @@ class Candidates:
         self._log_ratios = np.concatenate((self._log_ratios, begun))
         self._totals = np.concatenate((self._totals, totals + np.zeros(new.size)))
 
-    def _ratios(self, ranges_km: Floats, rows: Ints, seen: tuple[Floats, Floats, Floats]) -> Floats:
+    def _ratios(self, ranges_km: Floats, rows: Ints, seen: _Seen) -> Floats:
         """Log likelihood ratios of a scan for positions at ranges in rows, (n,) each -> (n, n_hypothesis)."""
-        r, reported_km, sigma = (column[rows] for column in seen)
+        r, reported_km, sigma = (column[rows] for column in seen[:3])
         amplitudes, cells = self._amplitudes(ranges_km), self._cells
         used = sigma[:, np.newaxis] > 0.0  # else nothing is known of the noise
+        if seen.lost_km is not None:  # nor of the echo
+            used &= ~cells.is_near(ranges_km[:, np.newaxis], seen.lost_km).any(axis=1, keepdims=True)
         u = np.divide(amplitudes, sigma[:, np.newaxis], out=np.zeros(amplitudes.shape), where=used)
         near, r = cells.n_near(ranges_km)[:, np.newaxis], r[:, np.newaxis]
         there = self._law.log_likelihood(r, u) + r**2 - np.log(near)

@@ -40,6 +40,7 @@ from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
 Ints = NDArray[np.int64]
 Gate = tuple[float, float]  # ranges, km
 
+MOST_LOST = 0.01  # of a belief, in range cells that were not received: with more of it a track coasts
 _BROAD = 1.0  # 1/variance of a direction that was not measured
 _ROUNDING = 1e-9  # of a direction: two tracks are as near
 
@@ -58,6 +59,9 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     """What the scan tells a track."""
     at = scan.row_of(state.target)
     rows, gate = _own_rows(model, scan, at)
+    if _is_lost(model, state, scan):
+        looks = missed_looks(model.response, np.empty(0), np.empty(0), model.sensor.threshold, gate)
+        return Association(looks, state.power, is_looked=False, own=TrackLooks(is_unmeasured=True))
     if scan.expected is None:
         share, missed = _alone(model, state, scan, rows, gate)
         own = TrackLooks()
@@ -78,6 +82,15 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     looks = missed_looks(model.response, nus, sigma, limit, gate)
     is_looked = nus.size > 0 or (scan.expected is None and rows.size > 0)
     return Association(looks, power, is_looked, share.in_doubt, own)
+
+
+def _is_lost(model: TrackerModel, state: TrackState, scan: Detections) -> bool:
+    """Whether a target may be in a range cell that was not received: whatever else was found, it is no miss."""
+    if scan.lost_km is None:
+        return False
+    expected = predicted_states(state.belief.sample(), model.motion.dt)
+    ranges_km = np.hypot(expected[:, 0], expected[:, 2])
+    return bool(scan.is_lost(ranges_km, model.response.range_cell_km).mean() > MOST_LOST)
 
 
 def is_beam(model: TrackerModel, scan: Detections) -> bool:

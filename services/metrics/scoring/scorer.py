@@ -170,13 +170,13 @@ class Scorer:
         return [None if isnan(value) else value for value in found.tolist()]
 
     def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[list[bool | None], Any, Any]:
-        """Of each target: whether a cell that holds it was over its limit, whoever asked for that, None: it was not
-        measured; the largest ||v||^2 that an echo from there met, 0: none tested; and whether a direction within half a
-        bin was lit for each track.
+        """Of each target: whether a cell that holds it was over its limit, whoever asked for that, None: a look that
+        would have heard it was not measured, whatever others found; the largest ||v||^2 that an echo from there met,
+        0: none tested; and whether a direction within half a bin was lit for each track.
         """
         states, rows = _measured(truth), self._scan_rows.read(scan)
         detected, met, lit = self._scan_rows.seen(rows, states)
-        is_open = self._scan_rows.misses_looks(rows, states) & ~detected
+        is_open = self._scan_rows.misses_looks(rows, states)
         known = [None if is_one else found for is_one, found in zip(is_open.tolist(), detected.tolist(), strict=True)]
         return known, met.tolist(), lit.tolist()
 
