@@ -18,9 +18,9 @@ from cogradar.services.cli import runs as cli_runs
 from cogradar.services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
-    FrontEndOption,
     JsonOption,
     ScenarioArgument,
+    ServiceFrontEndOption,
     SetOption,
     ZenohConfigOption,
     call,
@@ -132,7 +132,7 @@ def service(
             help="Recorder: bytes to keep of the messages of a run without an end; 4 GB if left out.",
         ),
     ] = None,
-    front_end: FrontEndOption = Start.front_end,
+    front_end: ServiceFrontEndOption = Start.front_end,
     scenario: Annotated[
         str,
         typer.Option(

@@ -127,10 +127,10 @@ RunDwellsOption = Annotated[
         help=f"Instead of the scenario's number; {UNLIMITED}: until the run is ended.",
     ),
 ]
-FrontEndOption = Annotated[
-    str,
-    typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
-]
+FRONT_END_VARIABLE = "COGRADAR_FRONT_END"
+_FRONT_END = "simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."
+FrontEndOption = Annotated[str, typer.Option(help=_FRONT_END)]
+ServiceFrontEndOption = Annotated[str, typer.Option(envvar=FRONT_END_VARIABLE, help=f"Emulator: {_FRONT_END}")]
 RunArgument = Annotated[
     str | None, typer.Argument(metavar="RUN", help="As `query runs` shows it; the newest if left out.")
 ]

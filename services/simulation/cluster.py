@@ -18,7 +18,7 @@ from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Retention
 from cogradar.services.simulation.disk import Disk, PowerCut
-from cogradar.services.simulation.front_end import Watch, WatchedFrontEnd
+from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
 from cogradar.services.simulation.links import Links
 from cogradar.services.simulation.process import SPIN, Clock, Process
 from cogradar.shared.protocol.events import Event, Membership, Tick
@@ -90,6 +90,7 @@ class Cluster:
         self.refused: list[str] = []
         self.counts: Counter[str] = Counter()
         self.disk = disk
+        self.receiver_faults = ReceiverFaults()
         self._watch, self._prepares, self._keep = watch, prepares, keep
         self._due: list[_Due] = []
         self._n = itertools.count()
@@ -241,7 +242,7 @@ class Cluster:
     def _core(self, role: Role, name: str) -> Core:
         match role:
             case Role.EMULATOR:
-                return EmulatorCore(lambda checkpoint: WatchedFrontEnd(checkpoint, self._watch))
+                return EmulatorCore(lambda checkpoint: WatchedFrontEnd(checkpoint, self._watch, self.receiver_faults))
             case Role.ALLOCATOR:
                 return AllocatorCore()
             case Role.PLANNER:

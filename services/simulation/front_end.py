@@ -1,19 +1,48 @@
 """The simulated front end, watched; a dwell is a pure function, so that it can be cached."""
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
-from cogradar.services.emulator.front_end import GroundTruth, ScanData, Transmission
+import numpy as np
+
+from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
+from cogradar.services.emulator.kept_open import ATTEMPTS
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 Watch = Callable[[str, int, int, Transmission], None]  # run, k, t, what is radiated
 
 
+class ReceiverFaults:
+    """What is wrong with the receivers of all runs.
+
+    In lockstep a dwell fails so often that its front end is opened again and the run goes on: nothing else may change.
+    """
+
+    def __init__(self) -> None:
+        self.amounts: list[float] = []  # of the faults that last
+        self._attempts = Counter[tuple[str, int]]()
+
+    def measured(self, checkpoint: EmulatorCheckpoint, k: int, scan: ScanData) -> ScanData:
+        """What comes of a dwell. Raises FrontEndError."""
+        if not self.amounts:
+            return scan
+        self._attempts[checkpoint.run, k] += 1
+        is_lockstep = checkpoint.rate_hz == 0.0
+        if is_lockstep and self._attempts[checkpoint.run, k] >= ATTEMPTS:
+            return scan
+        if is_lockstep or self.amounts[-1] < 2.0:
+            raise FrontEndError("the receiver is out")
+        nonsense = replace(scan, statistic=scan.statistic * np.nan)
+        return nonsense if self.amounts[-1] < 3.0 else ScanData.not_measured("no packet")
+
+
 class WatchedFrontEnd:
     """A scan is a function of the run, the dwell, its clock and the waveform, whatever was transmitted before."""
 
-    def __init__(self, checkpoint: EmulatorCheckpoint, watch: Watch) -> None:
-        self._checkpoint, self._watch = checkpoint, watch
+    def __init__(self, checkpoint: EmulatorCheckpoint, watch: Watch, faults: ReceiverFaults) -> None:
+        self._checkpoint, self._watch, self._faults = checkpoint, watch, faults
         self._truth: GroundTruth | None = None
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
@@ -21,7 +50,7 @@ class WatchedFrontEnd:
         self._watch(self._checkpoint.run, k, t, waveform)
         start = self._checkpoint
         scan, self._truth = simulated(start.world, start.radar, start.world_seed, k, t, waveform)
-        return scan
+        return self._faults.measured(start, k, scan)
 
     def truth(self) -> GroundTruth:
         """The truth of the dwell that was transmitted last."""

@@ -46,6 +46,7 @@ class Kind(StrEnum):
     POWER = "power"  # the recorder's machine loses power in the middle of its next commit
     FULL = "full"  # no room on the recorder's disk
     SLOW = "slow"  # each commit takes so long
+    RECEIVER = "receiver"  # the front end raises, or in real time also measures nonsense or nothing
     RESTORED = "restored"  # the recorder comes back with the journal as it was when this fault began
 
 
@@ -62,6 +63,7 @@ _AMOUNTS = {
     Kind.DRIFT: (0.9, 1.1),
     Kind.JUMP: (0.01, 3.0),
     Kind.SLOW: (0.001, 1.0),
+    Kind.RECEIVER: (1.0, 4.0),  # which of the three
 }
 
 
@@ -192,6 +194,8 @@ class Schedule:
             who = f"planner-{rng.integers(self.planners)}"
         elif kind in DISK:
             who = "recorder-0"
+        elif kind is Kind.RECEIVER:
+            who = "emulator-0"
         elif kind is Kind.TWIN:
             who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
         low_high = _AMOUNTS.get(kind)

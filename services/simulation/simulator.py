@@ -198,8 +198,8 @@ class Simulator:
                 process.clock.set(cluster.now_s, pace=fault.amount)
             case Kind.JUMP if process is not None:
                 process.clock.set(cluster.now_s, pace=process.clock.pace, ahead_s=fault.amount)
-            case Kind.FULL | Kind.SLOW:
-                self._set_disk(fault, is_there=True)
+            case Kind.FULL | Kind.SLOW | Kind.RECEIVER:
+                self._set(fault, is_there=True)
             case Kind.RESTORED:
                 self._disk.back_up()
             case _:
@@ -229,8 +229,8 @@ class Simulator:
                 cluster.kill(_twin(fault))
             case Kind.DRIFT if process is not None:
                 process.clock.set(cluster.now_s, pace=1.0)
-            case Kind.FULL | Kind.SLOW:
-                self._set_disk(fault, is_there=False)
+            case Kind.FULL | Kind.SLOW | Kind.RECEIVER:
+                self._set(fault, is_there=False)
             case Kind.RESTORED:
                 cluster.kill(fault.who)
                 self._disk.restore()
@@ -255,8 +255,11 @@ class Simulator:
         self._cluster.tell_members()
         self._cluster.serve(process)
 
-    def _set_disk(self, fault: Fault, *, is_there: bool) -> None:
-        if fault.kind is Kind.SLOW:
+    def _set(self, fault: Fault, *, is_there: bool) -> None:
+        amounts = self._cluster.receiver_faults.amounts
+        if fault.kind is Kind.RECEIVER:
+            (amounts.append if is_there else amounts.remove)(fault.amount)
+        elif fault.kind is Kind.SLOW:
             self._disk.commit_s = fault.amount if is_there else 0.0
         else:
             self._disk.is_full = is_there

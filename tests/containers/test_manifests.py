@@ -13,7 +13,7 @@ import typer
 import yaml
 
 from cogradar.services.cli.app import app
-from cogradar.services.cli.console import CONNECT_VARIABLE
+from cogradar.services.cli.console import CONNECT_VARIABLE, FRONT_END_VARIABLE
 from cogradar.services.topology import SERVICES
 from cogradar.services.web.address import HOSTS_VARIABLE
 from cogradar.shared.protocol.topics import Role
@@ -203,6 +203,54 @@ def test_systemd_sets_what_compose_sets(role: Role) -> None:
     assert wanted.items() <= environment_file().items()
 
 
+def test_the_front_end_of_the_manual_is_the_one_that_is_deployed() -> None:
+    page = (ROOT / "docs/howto/front-end.md").read_text(encoding="utf-8")
+    assert (FRONT_END / "udp_receiver.py").read_text(encoding="utf-8") in re.findall(r"```python\n(.*?)```", page, re.S)
+
+
+def test_a_front_end_is_given_to_the_emulator_alone_with_a_way_to_its_device() -> None:
+    found = yaml.safe_load((FRONT_END / "compose.yml").read_text(encoding="utf-8"))
+    assert set(found["services"]) == {Role.EMULATOR}
+    emulator, (network,) = found["services"][Role.EMULATOR], found["networks"]
+    assert emulator["networks"] == [*compose_file()["services"][Role.EMULATOR]["networks"], network]
+    assert not (found["networks"][network] or {}).get("internal")
+    assert FRONT_END_VARIABLE in _variables_of_service()
+    assert FRONT_END_VARIABLE in emulator["environment"]
+    (mounted,) = emulator["volumes"]
+    assert mounted.endswith(":/front-ends:ro")
+
+
+def test_kubernetes_mounts_the_front_end_that_it_names(kubernetes_validate: ModuleType) -> None:
+    made = yaml.safe_load((FRONT_END / "kustomization.yaml").read_text(encoding="utf-8"))
+    assert (FRONT_END / made["resources"][0]).resolve() == BASE
+    (patch,) = (yaml.safe_load((FRONT_END / one["path"]).read_text(encoding="utf-8")) for one in made["patches"])
+    base = deployments()[patch["metadata"]["name"]]
+    assert patch["spec"]["template"]["metadata"] == base["spec"]["template"]["metadata"]
+    (container,), (volume,) = (patch["spec"]["template"]["spec"][name] for name in ("containers", "volumes"))
+    assert container["name"] == Role.EMULATOR
+    environment = {each["name"]: each["value"] for each in container["env"]}
+    path = Path(environment[FRONT_END_VARIABLE].partition(":")[0])
+    (mount,) = container["volumeMounts"]
+    assert (mount["name"], mount["mountPath"]) == (volume["name"], str(path.parent))
+    assert made["configMapGenerator"] == [{"name": volume["configMap"]["name"], "files": [path.name]}]
+    assert (FRONT_END / path.name).is_file()
+    policy = yaml.safe_load((FRONT_END / made["resources"][1]).read_text(encoding="utf-8"))
+    assert kubernetes_validate.validate(policy, NEWEST, strict=True)
+    assert policy["spec"]["podSelector"]["matchLabels"] == base["spec"]["template"]["metadata"]["labels"]
+    ((to,), (port,)) = (policy["spec"]["egress"][0][name] for name in ("to", "ports"))
+    assert environment["RADAR_DEVICE"] == f"{to['ipBlock']['cidr'].removesuffix('/32')}:{port['port']}"
+
+
+def test_the_drop_in_opens_one_device_and_nothing_else() -> None:
+    lines = (FRONT_END / "cogradar@emulator.conf").read_text(encoding="utf-8").splitlines()
+    found = dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+    assert unit_settings()["PrivateDevices"] == ["yes"]
+    assert found.pop("PrivateDevices") == "no"
+    assert found.pop("DevicePolicy") == "closed"
+    assert set(found) == {"DeviceAllow", "SupplementaryGroups"}
+
+
+FRONT_END = ROOT / "deploy" / "front-end"
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 
 

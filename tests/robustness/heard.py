@@ -15,7 +15,7 @@ from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
-from cogradar.services.simulation.front_end import WatchedFrontEnd
+from cogradar.services.simulation.front_end import ReceiverFaults, WatchedFrontEnd
 from cogradar.services.simulation.process import Process
 from cogradar.services.simulation.schedule import Fault, Kind, Schedule
 from cogradar.services.simulation.simulator import Simulator
@@ -86,7 +86,7 @@ class Replayed:
 def _core(run: Run, role: Role, replayed: Replayed) -> Core:
     match role:
         case Role.EMULATOR:
-            return EmulatorCore(lambda checkpoint: WatchedFrontEnd(checkpoint, lambda *_: None))
+            return EmulatorCore(lambda checkpoint: WatchedFrontEnd(checkpoint, lambda *_: None, ReceiverFaults()))
         case Role.PLANNER:
             return PlannerCore(run.heard[role][0], lambda: replayed.now_s)
         case Role.ALLOCATOR:

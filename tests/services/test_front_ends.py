@@ -4,8 +4,11 @@ import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 
 from cogradar.services import kernels
@@ -20,7 +23,9 @@ from cogradar.services.runs.run import as_played
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin
 from tests.services.loop import SMOKE, checkpoint
+from tests.udp_device import Device
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs/howto/front-end.md").read_text(encoding="utf-8")
@@ -35,8 +40,9 @@ def _cogradar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]
 @pytest.fixture
 def example(tmp_path: Path) -> Path:
     """A folder with the page's receiver and its scenario."""
-    code, ranged, recorded = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    code, ranged, udp, recorded = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     (tmp_path / "receiver.py").write_text(f"{code}\n\n{ranged}")
+    (tmp_path / "udp_receiver.py").write_text(udp)
     (tmp_path / "record.py").write_text(recorded)
     (command,) = re.findall(r"^sed .*$", PAGE, flags=re.MULTILINE)
     subprocess.run(["sh", "-c", command.replace("mine.toml", str(tmp_path / "mine.toml"))], check=True, cwd=REPOSITORY)
@@ -83,6 +89,36 @@ def test_the_example_with_range_cells_tracks_both_aircraft(example: Path) -> Non
     assert played["dwells"] == 12
     rows = json.loads(_cogradar("query", "tracks", "--store", "mine.db", "--json", folder=example).stdout)
     assert {(row["target"], row["bin"]) for row in rows} == {(1, 3), (2, 11)}
+
+
+@pytest.mark.slow
+@pytest.mark.zenoh
+def test_a_receiver_by_udp_that_loses_datagrams_and_has_outages_loses_no_track(
+    example: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fifth of all cells are lost, and twice three seconds of data."""
+    outages = {*range(60, 90), *range(130, 160)}
+    targets = ([40.0, 0.010, -30.0, 0.005], [50.0, -0.005, 20.0, 0.010])
+    with Device(SMOKE.radar.array.n_bin, SMOKE.radar.echo.amplitude_db, targets, 0.2, outages) as device:
+        monkeypatch.setenv("RADAR_DEVICE", device.address)
+        paced = ("--pace", "realtime", "--rate", "10", "--dwells", "200", "--set", "radar.motion.dt_s=0.1")
+        played = _played("mine.toml", "udp_receiver.py:UdpReceiver", example, *paced)
+    assert played["dwells"] == 200
+    assert device.lost > 0.2 * device.sent
+    assert len(outages) <= cast(int, played["unmeasured_dwells"]) < len(outages) + 40
+    rows = json.loads(_cogradar("query", "tracks", "--store", "mine.db", "--json", folder=example).stdout)
+    off = defaultdict[int, list[int]](list)  # bins between each track and its target, by dwell
+    for row in rows:
+        (x, y), n = device.positions(row["k"])[row["target"] - 1], SMOKE.radar.array.n_bin
+        bins = [
+            angle_bin(0.5 * at_y / np.hypot(at_x, at_y), n) for at_x, at_y in ((x, y), (row["x_hat"], row["y_hat"]))
+        ]
+        off[row["target"]].append(abs(int(bins[0] - bins[1])))
+    assert set(off) == {1, 2}
+    for found in off.values():
+        assert len(found) == 200
+        assert np.mean(np.array(found) <= 1) > 0.95
+        assert max(found[-20:]) <= 1
 
 
 def test_the_recordings_of_the_page_are_calibrated_as_it_says(example: Path) -> None:

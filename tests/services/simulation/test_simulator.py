@@ -121,6 +121,15 @@ def test_nothing_goes_on_without_a_process_that_there_is_one_of(kind: Kind, who:
     assert outcome.simulated_s >= 3.0
 
 
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+@pytest.mark.parametrize("amount", [1.0, 2.0, 3.0])  # it raises, it measures nonsense, it measures nothing
+def test_a_receiver_that_fails_for_a_while_ends_no_run(sky: str, amount: float) -> None:
+    fault = Fault(Kind.RECEIVER, 0.3, 0.8, "emulator-0", amount=amount)
+    assert _played(fault, sky=sky, rate_hz=10.0).violation == ""
+    at_once = Fault(Kind.RECEIVER, 0.0, 0.05, "emulator-0", amount=amount)
+    assert _played(at_once, sky=sky).violation == ""  # the same run, byte for byte
+
+
 def test_who_is_behind_never_finds_its_inbox_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     handle, drained = AllocatorCore.handle, list[tuple[float, bool]]()
 

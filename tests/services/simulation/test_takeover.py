@@ -179,3 +179,21 @@ def test_a_planner_is_not_suspended_for_the_one_before_it(disk: Disk) -> None:
 
 def test_a_track_coasts_longer_than_two_takeovers_take() -> None:
     assert COASTED_S > 2.0 * (LEASE_MS / 1000 + LEAVE_AFTER_S + TICKS_S)
+
+
+@pytest.mark.parametrize("amount", [1.0, 2.0, 3.0])  # the receiver raises, measures nonsense, measures nothing
+def test_an_outage_of_the_receiver_ends_no_track(disk: Disk, amount: float) -> None:
+    def begin(cluster: Cluster) -> None:
+        cluster.receiver_faults.amounts.append(amount)
+        cluster.at(AT_S + 2.0, cluster.receiver_faults.amounts.clear)
+
+    cluster = _played(disk, RATE_HZ, begin)
+    confirmed = cluster.confirmed(AT_S)
+    assert confirmed
+    assert not cluster.ended(confirmed)
+    assert confirmed <= cluster.confirmed(SECONDS)
+    for m in confirmed:
+        assert cluster.longest_s(m) < 2.0 / RATE_HZ  # each dwell is planned for, measured or not
+        coasted = [plan.existence for when, _, plan in cluster.plans[m] if AT_S + 0.5 < when < AT_S + 2.0]
+        assert coasted
+        assert min(filter(None, coasted)) > 0.95
