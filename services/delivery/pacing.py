@@ -55,6 +55,10 @@ class Lockstep:
         """When the dwell after the one that is due now is due; None: none is due now."""
         return None
 
+    def overdue(self, _due_s: float, _now_s: float) -> int:
+        """Dwells that should have happened since one was due, besides that one: none in lockstep."""
+        return 0
+
     def may_transmit(self, ahead: int) -> bool:
         """Whether a dwell may happen at once, so many dwells ahead of the journal."""
         return ahead < MAX_AHEAD_DWELLS
@@ -143,6 +147,10 @@ class RealTime:
         if now_s < due_s:
             return None
         return (now_s if now_s >= due_s + self.period_s else due_s) + self.period_s
+
+    def overdue(self, due_s: float, now_s: float) -> int:
+        """Dwells that should have happened since one was due, besides that one."""
+        return max(math.floor((now_s - due_s) / self.period_s), 0)
 
     def may_transmit(self, _ahead: int) -> bool:
         """Never at once, only when it is due."""

@@ -29,6 +29,7 @@ from cogradar.services.emulator.front_end import (
     SenselessScan,
     Settings,
     Transmission,
+    fault_line,
 )
 from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.shared.protocol.events import Event, Tick
@@ -40,6 +41,7 @@ from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.scan import Detections, Strongest
 from cogradar.shared.wire.meter import Measures
 
+SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -60,6 +62,8 @@ class _Run:
     strongest: Strongest | None = None  # of the acquisition
     unmeasured: int = 0  # dwells of the acquisition in which nothing was measured
     last_fault: str = ""  # ... why
+    said: int = 0  # in real time: of these dwells, those that were sent, beyond the scans that there may be
+    say_s: float = 0.0  # ... and when the next one may be
     orders: Sequence[Order] = ()  # as the last checkpoint says
     awaits_first_waveform: bool = False  # of a run that begins, whose number of tracks is unknown
 
@@ -127,8 +131,7 @@ class EmulatorCore:
 
     def prepare(self) -> bool:
         """Let a front end prepare a dwell whose waveform is still to come."""
-        prepare = [run.front_end.prepare for run in self._runs.values() if not run.over]
-        return any(one() for one in prepare if one is not None)
+        return any(run.front_end.prepare() for run in self._runs.values() if not run.over)
 
     @property
     def trouble(self) -> str:
@@ -249,7 +252,10 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     due_s = run.pacing.next_due_s(run.due_s, now_s)
     if run.over or due_s is None:
         return ()
+    overdue = 0 if run.due_s is None else run.pacing.overdue(run.due_s, now_s)
     run.due_s = due_s
+    if run.t > 0 and run.front_end.is_down:  # its opening took so long; a receiver that is slow lowers the rate
+        _skip(run, run.k + overdue)
     waveform = next(iter(run.waveforms.values()), None)
     if run.t > 0 and waveform is None and not run.awaits_first_waveform:
         return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
@@ -260,8 +266,8 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
 
 
 def _skip(run: _Run, k: int) -> None:
-    """In real time: the others went on to dwell k while this process was away. The clock went on all the while; the
-    dwells in between never happened.
+    """In real time: the others went on to dwell k while this process was away, or its front end was being opened. The
+    clock went on all the while; the dwells in between never happened.
     """
     skipped = min(k - run.k, run.settings.dwells - run.t)
     run.k, run.t = run.k + skipped, run.t + skipped
@@ -274,10 +280,10 @@ def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[
         answers = _end(run, k, "complete")
     elif ends(run.orders, k):
         answers = _end(run, k, "failed", "ended by a command before every target was detected")
-    elif not run.is_tracking(waveform) and k >= max_scans:
-        reason = f"not every target was detected within {k} scans"
+    elif not run.is_tracking(waveform) and k - run.said >= max_scans:
+        reason = f"not every target was detected within {k - run.said} scans"
         nearest = f"; {run.strongest}" if run.strongest is not None else ""
-        lost = f"; nothing was measured in {run.unmeasured} scans: {run.last_fault}" if run.unmeasured else ""
+        lost = f"; nothing was measured in {run.unmeasured} dwells: {run.last_fault}" if run.unmeasured else ""
         answers = _end(run, k, "failed", reason + nearest + lost)
     else:
         try:
@@ -299,7 +305,8 @@ def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
 def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Sequence[Message]:
     """One transmit-receive cycle, or the end of a front end that has no more of them.
 
-    None in real time while targets are acquired and nothing was measured: the acquisition has no dwell to spare.
+    While targets are acquired in real time, a dwell in which nothing was measured is none: the acquisition has no
+    dwell to spare. As many more as it has are sent all the same, now and then, so that all are told of the fault.
     """
     most = run.radar.array.power * power_share(in_force(run.orders, k))
     asked = limited(transmission(run.radar, waveform), most)  # an allocator that is away knows no new limit
@@ -322,10 +329,17 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     if scan.t == 0 and not scan.bins.size:
         run.unmeasured, run.last_fault = run.unmeasured + 1, run.front_end.fault
         if run.pacing.loses_dwells:
-            return ()
+            if now_s < run.say_s or run.said >= run.radar.acquisition.max_scans:
+                return ()
+            run.said, run.say_s = run.said + 1, now_s + SAY_S
     run.t = scan.t
     truth = run.front_end.truth()
-    return (scan,) if truth is None else (scan, truth_message(scan, truth, waveform))  # the loop waits for the scan
+    if truth is None:
+        return (scan,)
+    try:
+        return (scan, truth_message(scan, truth, waveform))  # the loop waits for the scan
+    except (AttributeError, TypeError, ValueError) as error:
+        raise FrontEndError(fault_line(f"truth: {error}")) from error
 
 
 def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, asked: Transmission) -> Scan | str:
@@ -337,3 +351,5 @@ def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, aske
         return scan_message(run.settings, k, t, measured, waveform)
     except SenselessScan as error:
         return str(error)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # it is no array, ...
+        return f"{type(error).__name__}: {error}"

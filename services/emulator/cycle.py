@@ -2,13 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from cogradar.services.emulator.front_end import GroundTruth, ScanData, SenselessScan, Settings, Transmission
+from cogradar.services.emulator.front_end import (
+    GroundTruth,
+    ScanData,
+    SenselessScan,
+    Settings,
+    Transmission,
+    fault_line,
+)
 from cogradar.shared.protocol.admission import (
     IS_NEEDED,
     check_directions,
@@ -142,63 +149,95 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
 def compared(radar: RadarConfig, asked: Transmission, measured: ScanData) -> ScanData:
     """What was measured, with the beams that were asked for and the directions of what is left out.
 
-    Where the front end says where its beams really were, as a recording does, nothing is changed. Raises SenselessScan
-    for a cell that was not asked for, or with a number that cannot be.
+    Where the front end says where its beams really were, as a recording does, they are left as they are. Raises
+    SenselessScan for a cell that was not asked for, or with a number that cannot be.
     """
     if not isinstance(measured, ScanData):
         raise SenselessScan(f"transmit returned {type(measured).__name__}, ScanData is needed")
     _check_columns(measured)
-    if measured.beams is not None:
-        return measured
-    wanted = _wanted(radar, asked)
-    directions = np.empty(0) if measured.nus is None else measured.nus
-    names = np.asarray(measured.bins if radar.receiver.cells == "bins" else directions).tolist()
-    found, known = set(names), {name for those in wanted.values() for name in those}
-    if strange := found - known:
-        raise SenselessScan(f"{_cell(measured, names.index(min(strange)))} was not asked for")
-    unmeasured = [nu for nu, those in wanted.items() if found.isdisjoint(those)]
-    return replace(
-        measured,
-        beams=asked.beams,
-        beam_nus=asked.nus,
-        gates=asked.gates,
-        unmeasured=np.array(unmeasured) if unmeasured else None,
-    )
+    if measured.beams is None:
+        unmeasured = _unmeasured(radar, asked, measured)
+        measured = replace(
+            measured,
+            beams=asked.beams,
+            beam_nus=asked.nus,
+            gates=asked.gates,
+            unmeasured=np.array(unmeasured) if unmeasured else None,
+        )
+    is_whole = measured.fault is None or measured.unmeasured is None
+    return replace(measured, fault=None if is_whole else fault_line(measured.fault))
 
 
-def _wanted(radar: RadarConfig, asked: Transmission) -> dict[float, list[float]]:
-    """Directions of which something is to be reported, ascending; of each the bin, or the directions of its looks.
-
-    Looks that are merged are one, in the direction of their bin.
-    """
-    centres = bin_centres(radar.array.n_bin).tolist()
+def _unmeasured(radar: RadarConfig, asked: Transmission, measured: ScanData) -> list[float]:
+    """Directions of looks that have no row, ascending; of those that are merged, the direction of their bin."""
+    centres, width_km = bin_centres(radar.array.n_bin), radar.receiver.range_cell_km
+    bins = np.asarray(measured.bins)
     if radar.receiver.cells == "bins":
-        return {centres[bin_]: [bin_] for bin_ in asked.bins.tolist()}
-    wanted = dict[float, list[float]]()
+        if np.array_equal(bins, asked.bins):
+            return []
+        _refuse(measured, ~np.isin(bins, asked.bins))
+        left: list[float] = centres[np.setdiff1d(asked.bins, bins)].tolist()
+        return left
+    nus = np.empty(0) if measured.nus is None else np.asarray(measured.nus)
+    if nus.tolist() == [look.nu for look in asked.looks] and (nus[1:] > nus[:-1]).all():
+        return []
+    by_nu = dict[float, list[Look]]()
     for look in asked.looks:
-        wanted.setdefault(centres[look.bin] if look.is_merged else look.nu, []).append(look.nu)
-    return dict(sorted(wanted.items()))
+        by_nu.setdefault(look.nu, []).append(look)
+    ranges_km = np.zeros(nus.size) if measured.ranges_km is None else np.asarray(measured.ranges_km)
+    cells = np.floor(ranges_km / width_km).tolist() if width_km > 0.0 else [0.0] * nus.size
+    # Two looks may have one direction and other gates.
+    of_rows = [
+        [look for look in by_nu.get(nu, ()) if not look.cells or cell in look.cells]
+        for nu, cell in zip(nus.tolist(), cells, strict=True)
+    ]
+    _refuse(measured, np.array([not looks for looks in of_rows], dtype=np.bool_))
+    found = {_named(look) for looks in of_rows for look in looks}
+    lost = [look for look in asked.looks if _named(look) not in found]
+    return sorted({float(centres[look.bin]) if look.is_merged else look.nu for look in lost})
+
+
+def _named(look: Look) -> tuple[float, tuple[int, ...]]:
+    """What one row is reported of: a look, or all those of a bin that are merged."""
+    return (look.bin, ()) if look.is_merged else (look.nu, (*look.cells[:1], *look.cells[-1:]))
+
+
+def _refuse(measured: ScanData, is_strange: NDArray[np.bool_]) -> None:
+    if is_strange.any():
+        raise SenselessScan(f"{_cell(measured, int(np.argmax(is_strange)))} was not asked for")
+
+
+_COLUMNS = ("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power")  # that each scan has
+_OF_LOOKS = Scan.PARTS["directions"][:5]
 
 
 def _check_columns(measured: ScanData) -> None:
     """SenselessScan unless all columns have a finite number for each cell, and each statistic its sigma_hat."""
-    cells = ("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power", *Scan.PARTS["directions"][:5])
-    n = np.size(measured.bins)
-    for name in cells:
-        values = getattr(measured, name)
-        if values is None:
-            continue
-        column = np.asarray(values)
-        if column.shape != (n,) or column.dtype.kind not in "iufc":
+    names = [*_COLUMNS, *(name for name in _OF_LOOKS if getattr(measured, name) is not None)]
+    columns = [_column(measured, name) for name in names]
+    n = columns[0].size
+    for name, column in zip(names, columns, strict=True):
+        if column.shape != (n,) or column.dtype.kind not in ("iufc" if name == "alpha_hat" else "iuf"):
             raise SenselessScan(f"{name}: {n} numbers are needed, got {column.dtype} of shape {column.shape}")
-        if not np.isfinite(column).all():
-            at = int(np.flatnonzero(~np.isfinite(column))[0])
-            raise SenselessScan(f"{_cell(measured, at)}: {name} is {column[at]}")
-    is_noiseless = (np.asarray(measured.statistic) > 0.0) & ~(np.asarray(measured.sigma_hat) > 0.0)
+    if not (is_finite := np.isfinite(np.array(columns))).all():
+        at, row = (int(i) for i in np.argwhere(~is_finite)[0])
+        raise SenselessScan(f"{_cell(measured, row)}: {names[at]} is {columns[at][row]}")
+    _, statistic, _, sigma_hat, *_ = columns
+    is_noiseless = (statistic > 0.0) & ~(sigma_hat > 0.0)
     if is_noiseless.any():
         at = int(np.flatnonzero(is_noiseless)[0])
-        said = f"a statistic of {measured.statistic[at]:g} with sigma_hat {measured.sigma_hat[at]:g}"
+        said = f"a statistic of {statistic[at]:g} with sigma_hat {sigma_hat[at]:g}"
         raise SenselessScan(f"{_cell(measured, at)}: {said}, which must be > 0")
+
+
+def _column(measured: ScanData, name: str) -> NDArray[Any]:
+    values = getattr(measured, name)
+    if values is None:
+        raise SenselessScan(f"{name} is missing")
+    try:
+        return np.asarray(values)
+    except ValueError as error:  # its rows are of different lengths
+        raise SenselessScan(f"{name}: {error}") from None
 
 
 def _cell(measured: ScanData, row: int) -> str:

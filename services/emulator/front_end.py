@@ -15,8 +15,9 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.protocol.messages import EmulatorCheckpoint, Refused
+from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint, Refused
 from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.detector import calibration
@@ -38,6 +39,11 @@ class FrontEndError(Exception):
 
 class SenselessScan(FrontEndError):
     """What a front end has measured cannot be; the text says where and why. Of its dwell nothing was measured."""
+
+
+def fault_line(text: object) -> str:
+    """A fault as all are told of it: a line that any terminal shows as it is, and not a long one."""
+    return printable(str(text))[:MAX_FAULT]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ measurement: it is tried again at once, a few times, so that a fault that passes
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from cogradar.services.delivery.pacing import Pacing
@@ -18,14 +17,15 @@ from cogradar.services.emulator.front_end import (
     ScanData,
     SenselessScan,
     Transmission,
+    fault_line,
 )
 from cogradar.services.errors import Interrupted
-from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint
-from cogradar.shared.scenario.faults import printable
+from cogradar.shared.protocol.messages import EmulatorCheckpoint
 from cogradar.shared.wire.runner import Preparing
 
 FIRST_S, LONGEST_S = 0.5, 30.0  # real time: from a failure to the next opening; twice as long each time
 ATTEMPTS = 5  # in lockstep, at one dwell
+WELL = 10  # dwells in lockstep, which has no clock, that are measured until a fault is logged again
 REPEAT_S = 30.0  # after which what goes on is logged again
 log = logging.getLogger(__name__)
 
@@ -47,8 +47,12 @@ class KeptOpen:
         """Open it. At the beginning of a run it must succeed: what fails then is a setting more often than a fault."""
         self._opens, self._checkpoint, self._pacing, self._counts = opens, checkpoint, pacing, counts
         self._open: FrontEnd | None = None
-        self._delay_s, self._retry_s = 0.0, 0.0
-        self._lost = 0  # dwells in a row
+        self._delay_s = 0.0
+        self._failed_s: float | None = None  # when the dwell was due in which it failed; None: its time is counted
+        self._retry_s = 0.0
+        self._now_s = 0.0  # when the last dwell was due
+        self.is_down = False  # it was out of use, or was opened, in the last dwell: that may have taken long
+        self._lost, self._well = 0, 0  # dwells in a row
         self._told_s: dict[str, float] = {}  # by what went wrong: when it was logged last
         self._is_told = False  # that nothing is measured
         self._is_known = False  # of the last dwell, that it is for a fault
@@ -56,14 +60,25 @@ class KeptOpen:
         self._reopen(0.0, checkpoint.k, checkpoint.t)
         self._ends = self.fault if checkpoint.k == 0 else ""
 
-    @property
-    def prepare(self) -> Callable[[], bool] | None:
-        """What lets it prepare the next dwell, if it can."""
-        return self._open.prepare if isinstance(self._open, Preparing) else None
+    def prepare(self) -> bool:
+        """Let it prepare the next dwell, if it can; false if there is nothing left to do."""
+        front_end: object = self._open
+        try:
+            return isinstance(front_end, Preparing) and bool(front_end.prepare())
+        except Interrupted:
+            raise
+        except Exception as error:  # noqa: BLE001 - somebody else's front end may raise anything
+            self._fail(error, self._now_s)
+            return False
 
     def truth(self) -> GroundTruth | None:
-        """Where the targets were in the dwell that was transmitted last; None: unknown."""
-        return self._open.truth() if isinstance(self._open, KnowsTruth) else None
+        """Where the targets were in the dwell that was transmitted last; None: unknown. Raises FrontEndError."""
+        try:
+            return self._open.truth() if isinstance(self._open, KnowsTruth) else None
+        except Interrupted:
+            raise
+        except Exception as error:  # scores would lack dwells
+            raise FrontEndError(fault_line(f"truth: {type(error).__name__}: {error}")) from error
 
     def transmit(self, k: int, clock: tuple[int, int], asked: Transmission, now_s: float) -> ScanData | None:
         """Transmit dwell k and measure, as far as there is a front end; None: there are no more dwells.
@@ -73,8 +88,10 @@ class KeptOpen:
         """
         if self._ends:
             raise FrontEndError(self._ends)
+        self._begin(now_s)
         for _ in range(ATTEMPTS):
             if self._open is None and now_s >= self._retry_s:
+                self.is_down = True
                 self._reopen(now_s, k, clock[0])
             if self._open is not None:
                 try:
@@ -90,6 +107,13 @@ class KeptOpen:
                 return ScanData.not_measured(self.fault)
         raise FrontEndError(f"{self.fault}; tried {ATTEMPTS} times")
 
+    def _begin(self, now_s: float) -> None:
+        """A dwell begins. The pause after a failure is counted from its end, which may have come late."""
+        if self._failed_s is not None:
+            ended_s = max(self._failed_s, now_s - self._pacing.seconds(1))
+            self._retry_s, self._failed_s = ended_s + self._delay_s, None
+        self._now_s, self.is_down = now_s, self._open is None
+
     def note(self, measured: int, unmeasured: int, fault: str | None, now_s: float) -> None:
         """Count what a dwell came to: looks that were measured, and those that were not."""
         self._counts.looks += unmeasured
@@ -97,9 +121,12 @@ class KeptOpen:
             if self._is_told:
                 log.info("%s: front end: measures again, after %d dwells", self._checkpoint.run, self._lost)
             self._lost, self._delay_s, self.fault, self._is_told, self._is_known = 0, 0.0, "", False, False
+            self._well += 1
+            if self._well == WELL and not self._pacing.has_deadlines:
+                self._told_s.clear()
             return
         self._counts.dwells += 1
-        self._lost += 1
+        self._lost, self._well = self._lost + 1, 0
         self.fault = fault or "nothing was measured"
         if not self._is_known:
             self._tell("unmeasured", now_s)
@@ -108,7 +135,7 @@ class KeptOpen:
     def refuse(self, why: str, now_s: float) -> ScanData:
         """In place of a scan that cannot be: nothing was measured."""
         self._counts.senseless += 1
-        self.fault = _line(f"senseless scan: {why}")
+        self.fault = fault_line(f"senseless scan: {why}")
         self._tell("senseless", now_s)
         return ScanData.not_measured(self.fault)
 
@@ -136,11 +163,11 @@ class KeptOpen:
         """It is of no use any more."""
         self._counts.failures += 1
         is_its_own = isinstance(error, FrontEndError)
-        self.fault = _line(str(error) if is_its_own else f"{type(error).__name__}: {error}")
+        self.fault = fault_line(str(error) if is_its_own else f"{type(error).__name__}: {error}")
         self._tell("failed", now_s, None if is_its_own else error)
         self.close()
         self._delay_s = min(2.0 * self._delay_s or FIRST_S, LONGEST_S) if self._pacing.has_deadlines else 0.0
-        self._retry_s = now_s + self._delay_s
+        self._failed_s, self.is_down = now_s, True
 
     def _tell(self, what: str, now_s: float, error: Exception | None = None) -> None:
         """Log the fault, and its like not again for a while: each dwell may have one, with other numbers in it."""
@@ -150,7 +177,3 @@ class KeptOpen:
         self._told_s[what], self._is_told = now_s, True
         since = f"; nothing was measured in the last {self._lost} dwells" if self._lost > 1 else ""
         log.warning("%s: front end: %s%s", self._checkpoint.run, self.fault, since, exc_info=error)
-
-
-def _line(text: str) -> str:
-    return printable(text)[:MAX_FAULT]

@@ -132,7 +132,9 @@ class RecordedRun:
         newest = max((k for k, dwell in self._dwells.items() if dwell.t is not None), default=None)
         tracks = self._dwells[newest].tracks if newest is not None else self.tracks or frozenset()
         left = (
-            self.start.dwells - self.t + (0 if self._radar.is_unknown or self.t else self._radar.acquisition.max_scans)
+            self.start.dwells
+            - self.t
+            + (0 if self._radar.is_unknown or self.t else 2 * self._radar.acquisition.max_scans)
         )
         at = Moment(max(self._dwells, default=self.k), self.acknowledged[0], self.k + left - 1, tracks)
         return self.orders.grant(command, n, at)

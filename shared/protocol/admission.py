@@ -40,7 +40,8 @@ def check_parts(message: Message, radar: RadarConfig, *, asks: bool = True) -> N
 
 def check_dwell(k: int, radar: RadarConfig, dwells: int, t: int = 0) -> None:
     """Refuse a dwell that a run cannot have, or its clock: a planner would block on the ones before it."""
-    last = dwells - 1 if radar.is_unknown else radar.acquisition.max_scans + dwells
+    # Of an acquisition, as many scans again may say why nothing was measured.
+    last = dwells - 1 if radar.is_unknown else 2 * radar.acquisition.max_scans + dwells
     if k > last:
         raise Refused(f"dwell {k} of a run that ends by {last}")
     if t > min(k + 1, dwells):

@@ -213,7 +213,9 @@ class Scan(Message):
         """ValueError unless these may be directions of looks that are not among the rows."""
         if nus.size == 0 or (nus[1:] <= nus[:-1]).any() or np.abs(nus).max() > 0.5:
             raise ValueError("unmeasured must be directions, -0.5 .. 0.5, at least one, ascending")
-        if self.nus is not None and np.isin(nus, self.nus).any():
+        # With range cells another look may have the direction, at other ranges.
+        rows = np.empty(0) if self.nus is None else self.nus[np.asarray(self.ranges_km) == 0.0]
+        if np.isin(nus, rows).any():
             raise ValueError("what is unmeasured must have no row")
 
     def _ascends(self) -> bool:

@@ -107,7 +107,7 @@ class ScanRows(NamedTuple):
     def beam_is_over(self, scan: MessageFields, track: int) -> bool | None:
         """Whether the brightest look of a track, counted from 0, was over its limit; None: it was not measured."""
         row, seen, m = self.row_of_beam(scan, track), self.read(scan), row_of_track(scan, track)
-        if row < 0 <= m and seen.is_unmeasured(seen.beam_nus[m, :1]):
+        if row < 0 <= m and seen.is_unmeasured(m):
             return None
         return row >= 0 and bool(seen.is_over()[row])
 

@@ -70,9 +70,12 @@ class Detections(_Rows):
         filled |= {"bins": np.insert(self.bins, at, np.flatnonzero(is_new)), "nus": np.insert(self.nus, at, centres)}
         return self._replace(**filled, nu_hats=np.insert(self.nu_hats, at, centres))
 
-    def is_unmeasured(self, nus: Floats) -> bool:
-        """Whether one of the looks in these directions, (n,), was not measured."""
-        return self.unmeasured is not None and (self.nus.size == 0 or bool(np.isin(nus, self.unmeasured).any()))
+    def is_unmeasured(self, at: int) -> bool:
+        """Whether one of the looks that were made for the track in this row of `beams` was not measured."""
+        lit = self.beam_nus[at][self.beams[at] >= 0]
+        if self.unmeasured is None or not lit.size:
+            return False
+        return self.nus.size == 0 or bool(np.isin(lit, self.unmeasured).any())
 
     def is_lost(self, ranges_km: Floats, width_km: float) -> NDArray[np.bool_]:
         """Whether nothing was measured at these ranges, (...), with range cells of this width; (...)."""

@@ -200,7 +200,7 @@ def _track_looks(model: TrackerModel, scan: Detections, at: int, share: Share, r
     cell_km = model.response.range_cell_km
     if is_beam(model, scan):
         n_direction = sum(bin_ >= 0 for bin_ in scan.beams[at].tolist())
-        is_unmeasured = scan.is_unmeasured(scan.beam_nus[at][scan.beams[at] >= 0])
+        is_unmeasured = scan.is_unmeasured(at)
     else:
         n_bin, is_unmeasured = model.sensor.n_bin, scan.unmeasured is not None
         n_direction = directions_everywhere(n_bin, cell_km).size // n_bin

@@ -62,7 +62,7 @@ class TrackLooks(NamedTuple):
     p_fa: float = 1.0  # probability of a false detection in them, by the limit of the track's detection; 1 without one
     u: float = 1.0  # ... by the statistic of that detection
     unresolved: float = 0.0  # without one: probability that the target's echo is in the cell of another's
-    is_unmeasured: bool = False  # there was none, as the receiver did not measure what was asked for
+    is_unmeasured: bool = False  # one that was asked for was not measured
 
 
 class Judged(TypedDict):
@@ -148,7 +148,7 @@ class BernoulliExistence:
         if own.is_hit:
             ratio = hit_ratio(own.p_fa, own.u)
         elif own.is_looked:
-            ratio = miss_ratio(evidence, own.unresolved)
+            ratio = miss_ratio(evidence, own.unresolved, 0.0 if own.is_unmeasured else LEAST_P_D)
         elif own.is_unmeasured:
             ratio = 1.0
         existence = self._existence(_odds(existence) * ratio)
@@ -202,12 +202,14 @@ def hit_ratio(p_fa: float, u: float) -> float:
     return exp(_log_ratio(min(u / p_fa, 1.0), p_fa))
 
 
-def miss_ratio(evidence: float, unresolved: float = 0.0) -> float:
+def miss_ratio(evidence: float, unresolved: float = 0.0, least_p_d: float = LEAST_P_D) -> float:
     """Likelihood ratio of looks without a detection, to which the belief gives this probability.
 
     unresolved : probability that the echo is in the cell of another target's: then it has no detection of its own
+    least_p_d  : by which the miss is judged at least; 0 if not all of the looks were measured, for the target may be
+                 in the others
     """
-    missed = min(max(evidence, 1.0 - MOST_P_D), 1.0 - LEAST_P_D)
+    missed = min(max(evidence, 1.0 - MOST_P_D), 1.0 - least_p_d)
     return unresolved + (1.0 - unresolved) * missed
 
 

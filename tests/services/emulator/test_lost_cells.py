@@ -135,3 +135,23 @@ def test_a_target_whose_look_was_not_measured_counts_neither_way() -> None:
     assert rows.misses_looks(whole._replace(unmeasured=np.array([NU + 1e-3])), states).tolist() == [True]
     assert rows.misses_looks(whole._replace(lost_km=np.array([CELL + 0.5])), states).tolist() == [True]
     assert rows.misses_looks(whole._replace(lost_km=np.array([CELL + 1.5])), states).tolist() == [False]
+
+
+def test_two_looks_of_one_direction_have_each_their_own_range_cells() -> None:
+    waveform = _beams([[28.0, 33.0], [40.0, 45.0]])
+    waveform = waveform.model_copy(
+        update={"nus": np.array([[NU], [NU]]), "beams": np.repeat(waveform.beams[:1], 2, axis=0)}
+    )
+    scan = _scan(transmission(RADAR, waveform), waveform, range(40, 45))
+    assert scan.unmeasured is not None
+    assert scan.unmeasured.tolist() == [NU]
+    assert {CELL + 0.5} <= set(np.asarray(scan.ranges_km).tolist()) < {i + 0.5 for i in range(28, 33)}
+
+
+def test_a_track_that_was_not_lit_is_not_unmeasured() -> None:
+    """The directions of its beams are 0, which may be one of those that were not measured."""
+    waveform = _beams([[28.0, 33.0], [40.0, 45.0]])
+    scan = detections_of(MODEL, _scan(transmission(RADAR, waveform), waveform, ()))
+    scan = scan._replace(beams=np.array([[10], [-1]]), beam_nus=np.array([[NU], [0.0]]), unmeasured=np.array([0.0]))
+    assert [scan.is_unmeasured(at) for at in (0, 1)] == [False, False]
+    assert scan._replace(unmeasured=np.array([NU])).is_unmeasured(0)

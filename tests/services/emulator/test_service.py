@@ -7,11 +7,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from cogradar.services.emulator.core import SAY_S, EmulatorCore
+from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, GroundTruth, ScanData, Settings, Transmission
 from cogradar.services.emulator.kept_open import ATTEMPTS, FIRST_S, LONGEST_S
+from cogradar.shared.protocol.admission import check_dwell
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
+from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.wire.codec import encode
@@ -188,6 +189,11 @@ def test_an_emulator_that_simulates_needs_a_world(simulated: Callable[[], Emulat
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
+        ({"statistic": None}, "statistic is missing"),
+        ({"bins": [[1], [2, 3]]}, "bins: "),
+        ({"bins": np.int32(3)}, "bins: 1 numbers are needed, got int32 of shape ()"),
+        ({"statistic": np.ones(16) * 1j}, "statistic: 16 numbers are needed, got complex128"),
+        ({"beams": "abc"}, "UFuncTypeError"),
         ({"statistic": np.ones(3)}, "statistic: 16 numbers are needed, got float64 of shape (3,)"),
         ({"statistic": ["1"] * 16}, "statistic: 16 numbers are needed, got <U1"),
         ({"sigma_hat": np.where(np.arange(16) == 5, np.nan, 1.0)}, "bin 5: sigma_hat is nan"),
@@ -225,6 +231,91 @@ def test_a_measurement_that_makes_no_sense_counts_as_none(
     assert isinstance(scan, Scan)
     assert (scan.bins.size, scan.fault, core.trouble) == (16, None, "")
     assert receiver.opened == 1
+
+
+def test_a_run_whose_truth_cannot_be_had_ends_alone() -> None:
+    class Knowing(Receiver):
+        def truth(self) -> GroundTruth:
+            raise ValueError("no truth now")
+
+    (end,) = EmulatorCore(Knowing().open).handle(_begin())
+    assert isinstance(end, RunEnd)
+    assert end.reason == "front end: truth: ValueError: no truth now"
+
+
+def test_a_front_end_that_cannot_prepare_is_opened_again() -> None:
+    class Eager(Receiver):
+        def prepare(self) -> bool:
+            raise ValueError("not now")
+
+    receiver = Eager()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    assert not core.prepare()
+    (scan,) = core.handle(_waveform(0))
+    assert isinstance(scan, Scan)
+    assert (scan.bins.size, receiver.opened, receiver.closed) == (16, 2, 1)
+
+
+def test_the_text_of_a_fault_is_cut_and_cleaned_where_it_comes_in() -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    receiver.returns = ScanData.not_measured("a\nERROR \x1b[2J" + "x" * 300)
+    (scan,) = core.handle(_waveform(0))
+    assert isinstance(scan, Scan)
+    assert scan.fault == ("a?ERROR ?[2J" + "x" * 300)[:MAX_FAULT]
+    receiver.returns, receiver.wrong = None, {"fault": "late packet"}  # and yet all cells are there
+    (scan,) = core.handle(_waveform(1))
+    assert isinstance(scan, Scan)
+    assert (scan.bins.size, scan.fault) == (16, None)
+
+
+def test_in_lockstep_a_fault_that_comes_back_is_logged_again(caplog: pytest.LogCaptureFixture) -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin(dwells=100))
+    for k in range(90):
+        receiver.wrong = {} if k % 30 >= 15 else {"sigma_hat": np.full(16, np.nan)}
+        core.handle(_waveform(k))
+    assert [record.levelname for record in caplog.records].count("WARNING") == 3
+
+
+def test_an_opening_that_blocks_stops_no_clock() -> None:
+    """It takes 5 s, in which no dwell can be transmitted; 10 Hz. Pauses begin when it has ended."""
+    now, opened = [100.0], list[float]()
+
+    class Slow(Receiver):
+        def open(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:
+            if self.is_broken:
+                opened.append(now[0])
+                now[0] += 5.0
+                raise OSError("connect timed out")
+            return super().open(checkpoint)
+
+    receiver = Slow()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin(3, 2, rate_hz=10.0, dwells=3000))
+    core.handle(_waveform(3))
+
+    def until(end_s: float) -> Scan:
+        last: Scan | None = None
+        while now[0] < end_s:
+            last = next((one for one in core.handle(Tick(now[0])) if isinstance(one, Scan)), last)
+            now[0] += 0.05
+        assert last is not None
+        return last
+
+    before, begun_s = until(102.0), now[0]
+    receiver.is_broken = True
+    after = until(begun_s + 40.0)
+    assert after.t - before.t == after.k - before.k == pytest.approx(10.0 * (now[0] - begun_s), abs=60)
+    assert all(
+        second - first - 5.0 >= pause for (first, second), pause in zip(pairwise(opened), (1.0, 2.0), strict=False)
+    )
+    receiver.is_broken, begun_k = False, after.k
+    begun_s = now[0]
+    assert until(begun_s + 60.0).k - begun_k == pytest.approx(600, abs=60)
 
 
 def test_what_is_no_scan_at_all_counts_as_none() -> None:
@@ -284,11 +375,19 @@ def test_in_real_time_the_acquisition_waits_for_its_front_end() -> None:
     core = EmulatorCore(receiver.open)
     core.handle(_begin(rate_hz=10.0))
     receiver.is_broken = True
-    assert not [message for i in range(1000) for message in core.handle(Tick(i / 10.0))]
+    most = RADAR.acquisition.max_scans
+    said = [message for i in range(1000) for message in core.handle(Tick(i / 10.0))]
+    told = [one for one in said if isinstance(one, Scan) and not one.bins.size and one.fault]  # now and then
+    assert len(told) == len(said)
+    assert [one.k for one in told] == list(range(n_said := int(100.0 / SAY_S)))
     receiver.is_broken = False
-    sent = [message for i in range(1000, 1400) for message in core.handle(Tick(i / 10.0))]
+    sent = [message for i in range(1000, 1400 + most) for message in core.handle(Tick(i / 10.0))]
     scans = [message for message in sent if isinstance(message, Scan)]
-    assert [scan.k for scan in scans[:3]] == [0, 1, 2]
+    measured = [scan.k for scan in scans if scan.bins.size]
+    assert (len(measured), measured[-1], measured[0] - n_said <= LONGEST_S / SAY_S) == (most, scans[-1].k, True)
+    (end,) = [message for message in sent if isinstance(message, RunEnd)]
+    assert f"within {most} scans; " in end.reason
+    check_dwell(scans[-1].k, RADAR, 1)
 
 
 def test_in_lockstep_an_acquisition_without_a_measurement_ends_with_the_reason() -> None:
@@ -303,7 +402,7 @@ def test_in_lockstep_an_acquisition_without_a_measurement_ends_with_the_reason()
     (end,) = core.handle(_waveform(most - 1, tracking=False))
     assert isinstance(end, RunEnd)
     assert end.reason == (
-        f"not every target was detected within {most} scans; nothing was measured in {most} scans:"
+        f"not every target was detected within {most} scans; nothing was measured in {most} dwells:"
         f" senseless scan: bin 0: a statistic of {most} with sigma_hat 0, which must be > 0"
     )
 

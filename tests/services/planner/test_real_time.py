@@ -108,7 +108,7 @@ def test_every_strategy_begins_a_run_in_real_time(strategy: Strategy) -> None:
 def test_a_scan_of_a_dwell_that_a_run_cannot_have_is_refused() -> None:
     """A planner would coast over all dwells before it."""
     planner, far = _planner(Clock()), scans(play(smoke_start(dwells=6)))[-1]
-    far = far.model_copy(update={"k": SMOKE.radar.acquisition.max_scans + 7})
+    far = far.model_copy(update={"k": 2 * SMOKE.radar.acquisition.max_scans + 7})
     with pytest.raises(Refused, match=f"dwell {far.k} of a run that ends by {far.k - 1}"):
         planner.handle(far)
 

@@ -173,6 +173,6 @@ def test_a_dwell_that_a_run_cannot_have_is_refused() -> None:
     """The recorder would complete all dwells before it as missing."""
     sent = play(smoke_start(dwells=6))
     core, _ = _recorded([])
-    far = scans(sent)[-1].model_copy(update={"k": SMOKE.radar.acquisition.max_scans + 7})
+    far = scans(sent)[-1].model_copy(update={"k": 2 * SMOKE.radar.acquisition.max_scans + 7})
     with pytest.raises(Refused, match=f"dwell {far.k} of a run that ends by {far.k - 1}"):
         core.handle(far)

@@ -15,6 +15,7 @@ from cogradar.shared.tracking.birth import born
 from cogradar.shared.tracking.existence import (
     DOUBTED_BELOW,
     ENDED_BELOW,
+    LEAST_P_D,
     MOST_ODDS,
     MOST_P_D,
     MOST_P_FA,
@@ -204,3 +205,12 @@ def test_a_limit_that_nothing_false_passes_makes_a_detection_certain() -> None:
     limit = p_fa_of(1e6, 10)
     assert hit_ratio(limit, limit) > 1e4
     assert 0.0 < p_fa_of(1e-300, 10) <= 1.0
+
+
+def test_a_look_that_was_not_measured_beside_a_miss_takes_no_odds() -> None:
+    """The belief knows that the target is in the other look: the miss costs what it says, and no floor."""
+    existence = _existence()
+    partly, all_of_it = TrackLooks(is_looked=True, is_unmeasured=True), TrackLooks(is_looked=True)
+    left = {own: existence.after(0.5, True, own, 0.99)["existence"] for own in (partly, all_of_it)}
+    assert left[partly] == pytest.approx(0.99 / 1.99)
+    assert left[all_of_it] == pytest.approx((1.0 - LEAST_P_D) / (2.0 - LEAST_P_D))
