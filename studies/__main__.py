@@ -176,7 +176,7 @@ def soak(
 def endless(
     minutes: Annotated[float, typer.Option(min=0.1, max=100_000, help="How long.")] = 10.0, as_json: JsonOption = False
 ) -> None:
-    """Play a run without an end as fast as it goes; exit code 1 if what is held, or the time of a dwell, grows."""
+    """Play a run without an end as fast as it goes; exit code 1 if what is held, or the CPU time of a dwell, grows."""
     from studies.soak import endless as study
 
     with command() as stop:

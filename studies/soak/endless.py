@@ -1,4 +1,4 @@
-"""A run without an end, as fast as one process plays it: what it holds and how long a dwell takes must not grow.
+"""A run without an end, as fast as one process plays it: what it holds and what a dwell costs must not grow.
 
 The cores are the real ones, with metrics beside them that scores every dwell. The journal is a file that is cut behind
 the run. It stands for weeks at 10 Hz: nothing in it knows how fast the clock on the wall goes.
@@ -37,12 +37,13 @@ from cogradar.shared.wire.runner import Core, handle, step
 SETTINGS = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2", "world.repeat_s=60")
 KEEP = Retention(bytes_of_run=20_000_000)
 SAMPLE_DWELLS = 500
+WHAT = {"rss_mib": "memory", "journal_mib": "journal", "p50_ms": "CPU of a dwell, half", "p99_ms": "... 99 %"}
 GROWTH, SLACK = 0.1, {"MiB": 8.0, "ms": 2.0}  # from the middle third to the last one: a share, or so much
 
 
 @dataclass
 class Timed:
-    """An emulator's core that notes when it transmits."""
+    """An emulator's core that notes when it transmits, in CPU time: how busy the machine is does not count."""
 
     core: EmulatorCore
     times_s: list[float] = field(default_factory=list)
@@ -50,7 +51,7 @@ class Timed:
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers."""
         answers = self.core.handle(event)
-        self.times_s += [time.perf_counter() for answer in answers if isinstance(answer, Scan)]
+        self.times_s += [time.process_time() for answer in answers if isinstance(answer, Scan)]
         return answers
 
 
@@ -75,13 +76,14 @@ class Endless:
     samples: list[Sample]
 
     def thirds(self) -> list[dict[str, Any]]:
-        """What is held and how long a dwell takes: medians of the middle third of the dwells and of the last."""
+        """What is held and the CPU time of a dwell: medians of the middle third of the dwells and of the last."""
         third, found = len(self.samples) // 3, []
-        for name, unit in (("rss_mib", "MiB"), ("journal_mib", "MiB"), ("p50_ms", "ms"), ("p99_ms", "ms")):
+        for name, what in WHAT.items():
+            unit = "ms" if name.endswith("_ms") else "MiB"
             of_all = [getattr(sample, name) for sample in self.samples]
             before, after = (median(part or of_all) for part in (of_all[third:-third], of_all[-third:]))
             is_flat = after <= max(before * (1.0 + GROWTH), before + SLACK[unit])
-            row = {"what": name.rpartition("_")[0], "unit": unit, "before": before, "after": after}
+            row = {"what": what, "unit": unit, "before": before, "after": after}
             found.append(row | {"most": max(of_all), "verdict": "flat" if is_flat else "grows"})
         return found
 
