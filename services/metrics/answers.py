@@ -108,10 +108,10 @@ def _commands(store: Store, selection: Selection, runs: list[Run]) -> Rows:
         (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
         query = (
             "SELECT run, n, asker AS 'by', strftime('%Y-%m-%dT%H:%M:%SZ', asked_s, 'unixepoch') AS asked, action, k,"
-            " reason, id, over FROM command WHERE run = ? ORDER BY n"
+            " reason, id, over_k FROM command WHERE run = ? ORDER BY n"
         )
         for row in store.read(query, [run["run"]]):
-            is_over = row.pop("over") or run["status"] != "running"
+            is_over = row.pop("over_k") is not None or run["status"] != "running"
             state = "refused" if row["k"] is None else "over" if is_over else "in force"
             is_pending = state == "in force" and row["k"] > (-1 if newest["k"] is None else newest["k"])
             action = order_of({"n": row["n"], "k": 0, "action": row["action"]}).action

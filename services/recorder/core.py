@@ -37,7 +37,7 @@ COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than
 BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
 MAX_RUNS = 256  # that go on at a time
-MAX_COMMANDS = 10_000  # of a run
+MAX_COMMANDS = 10_000  # of a run in the journal
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
@@ -170,17 +170,17 @@ class RecorderCore:
         """Grant a command, or refuse it, and say so in the journal; the order is durable before anybody hears of it."""
         if (run := self._runs.get(command.run)) is None:
             raise Refused("no such run goes on")
-        n, is_known = self._journal.commands(command.run, command.id)
+        last, count, is_known = self._journal.commands(command.run, command.id)
         if is_known:
             return ()
-        if n >= MAX_COMMANDS:
-            raise Refused(f"{n} commands were given in this run, which is all there can be")
+        if count >= MAX_COMMANDS:
+            raise Refused(f"{count} commands of this run are in the journal, which is all there can be")
         answers: list[Message] = [*self._commit()]
         try:
-            order = run.grant(command, n + 1)
+            order = run.grant(command, last + 1)
         except Refused as refusal:
             log.warning("%s: %s, by %s, is refused: %s", command.run, command.action.kind, command.by, refusal)
-            self._journal.add_command(command, n + 1, None, str(refusal))
+            self._journal.add_command(command, last + 1, None, str(refusal))
             self._journal.commit()
             return answers
         log.info("%s: %r by %s from dwell %d on", command.run, command.action, command.by, order.k)
@@ -264,7 +264,7 @@ class RecorderCore:
                 self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
             self._spans[run.start.run].cut(self._journal, run)
             for n in run.orders.end(run.k, run.tracks or ()):
-                self._journal.end_order(run.start.run, n)
+                self._journal.end_order(run.start.run, n, run.k)
         self._journal.commit()
         self._uncommitted_ticks = 0
         for run in advanced:

@@ -163,11 +163,22 @@ class Journal:
                 self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
 
     def cut(self, run: str, before_k: int) -> int:
-        """Delete the messages of the dwells before this one, whose space is used again; how many bytes they had."""
+        """Delete the messages of the dwells before this one, whose space is used again; how many bytes they had.
+
+        With them go the orders that shape none of the dwells that are left, and what was refused before; not the last
+        command, after whose number the others count.
+        """
         of_them = "FROM message WHERE run = ? AND k < ?"
         (row,) = self.rows(f"SELECT COALESCE(SUM(LENGTH(payload)), 0) {of_them}", (run, before_k))
         self.write(f"DELETE {of_them}", run, before_k)
         self.write("UPDATE run SET kept_k = ? WHERE run = ?", before_k, run)
+        (ended,) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
+        if ended[0] is not None:
+            self.write(
+                "DELETE FROM command WHERE run = ?1 AND n <= ?2 AND (k IS NULL OR over_k <= ?3)"
+                " AND n < (SELECT MAX(n) FROM command WHERE run = ?1)",
+                *(run, ended[0], before_k),
+            )
         return int(row[0])
 
     def quarantine(self, run: str, reason: str) -> None:
@@ -194,9 +205,9 @@ class Journal:
             *(command.run, n, command.id, command.by, action, k, reason),
         )
 
-    def end_order(self, run: str, n: int) -> None:
-        """Record that no later dwell is shaped by an order."""
-        self.write("UPDATE command SET over = 1 WHERE run = ? AND n = ?", run, n)
+    def end_order(self, run: str, n: int, over_k: int) -> None:
+        """Record that no dwell from this one on is shaped by an order."""
+        self.write("UPDATE command SET over_k = ? WHERE run = ? AND n = ?", over_k, run, n)
 
     def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
         """Record what a track was after dwell k, in place of what is older; what is newer stays."""
@@ -303,18 +314,17 @@ class Journal:
 
     def orders(self, run: str) -> list[Order]:
         """Commands of a run that were granted and are not over. Raises Unreadable."""
-        query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL AND NOT over ORDER BY n"
+        query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL AND over_k IS NULL ORDER BY n"
         try:
             return [order_of(row) for row in self.read(query, [run])]
         except (ValueError, TypeError) as error:
             raise Unreadable(" ".join(str(error).split())[:300]) from None
 
-    def commands(self, run: str, id_: str) -> tuple[int, bool]:
-        """How many commands of a run there are, and whether this one is among them."""
-        (row,) = self.rows(
-            "SELECT COALESCE(MAX(n), 0), COALESCE(SUM(id = ?), 0) FROM command WHERE run = ?", [id_, run]
-        )
-        return int(row[0]), bool(row[1])
+    def commands(self, run: str, id_: str) -> tuple[int, int, bool]:
+        """The last number of a run's commands, how many there are, and whether this one is among them."""
+        query = "SELECT COALESCE(MAX(n), 0), COUNT(*), COALESCE(SUM(id = ?), 0) FROM command WHERE run = ?"
+        (row,) = self.rows(query, [id_, run])
+        return int(row[0]), int(row[1]), bool(row[2])
 
     def unfinished(self) -> list[str]:
         """Runs that have begun and not ended, in the order in which they began."""

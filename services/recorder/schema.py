@@ -71,7 +71,7 @@ CREATE TABLE command ( -- what somebody asked of a run that went on
     action TEXT NOT NULL, -- [JSON] what was asked for, where tracks count from 0
     k INTEGER, -- the first dwell under it, null if it was refused
     reason TEXT NOT NULL DEFAULT '', -- why it was refused
-    over INTEGER NOT NULL DEFAULT 0, -- [0, 1] no later dwell is shaped by it
+    over_k INTEGER, -- [dwells] no dwell from this one on is shaped by it, null before
     PRIMARY KEY (run, n)) WITHOUT ROWID;
 CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name

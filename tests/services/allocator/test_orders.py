@@ -29,7 +29,11 @@ from tests.services.loop import play as played
 from tests.skies import sky_start, small_sky
 
 K = 10
-READS = (EmulatorCheckpoint, Waveform), (Checkpoint, Scan), (Checkpoint, Scan, Plan)
+READS: tuple[tuple[type[Message], ...], ...] = (
+    (EmulatorCheckpoint, Waveform),
+    (Checkpoint, Scan),
+    (Checkpoint, Scan, Plan),
+)
 BEAMS = "radar.search.beams=4"
 
 

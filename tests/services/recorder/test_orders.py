@@ -66,7 +66,9 @@ def test_a_command_becomes_an_order_from_the_first_dwell_that_no_process_can_hav
     answers = core.handle(_command(7, HALF))
     assert _orders(answers) == [Order(n=1, k=AHEAD + 1, action=HALF)]
     assert not journal.has_uncommitted
-    assert _rows(journal, "id", "asker", "k", "reason", "over") == [(f"{7:032x}", "commander.me", AHEAD + 1, "", 0)]
+    assert _rows(journal, "id", "asker", "k", "reason", "over_k") == [
+        (f"{7:032x}", "commander.me", AHEAD + 1, "", None)
+    ]
     assert core.handle(_command(7, HALF)) == ()  # sent again
     assert _orders(core.handle(_command(8, EndRun(), at=300)))[1] == Order(n=2, k=300, action=EndRun())
 
@@ -105,7 +107,22 @@ def test_what_is_over_is_said_no_more(sky: list[Message]) -> None:
     answers = [answer for message in sky for answer in core.handle(message)]
     first = next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10)
     assert [order.n for order in first.orders] == [2]
-    assert _rows(journal, "n", "over") == [(1, 1), (2, 0), (3, 1), (4, 1)]
+    assert [over_k is not None for (over_k,) in _rows(journal, "over_k")] == [True, False, True, True]
+
+
+def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_twice() -> None:
+    journal, core = _begun(sky_start(dwells=DWELLS))
+    look = Look(bearing_deg=10, dwells=9, share=0.1)
+    given: list[Action] = [HALF, DropTrack(track=9), look, HALF, look]
+    for n, action in enumerate(given, 1):
+        core.handle(_command(n, action, at=0 if n == 2 else 5))
+    for n, over_k in ((1, 30), (3, 14), (5, 14)):
+        journal.end_order("r", n, over_k)
+    journal.cut("r", 20)
+    assert [n for (n,) in _rows(journal, "n")] == [1, 4, 5]  # 2 was refused
+    assert _orders(core.handle(_command(6, HALF)))[-1].n == 6
+    journal.cut("r", 40)
+    assert [n for (n,) in _rows(journal, "n")] == [4, 6]
 
 
 @pytest.mark.parametrize(
