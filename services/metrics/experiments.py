@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.selection import Run, Selection, distinct
 from cogradar.services.metrics.store import Store
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import TRUE_RULES
 
@@ -57,7 +58,8 @@ class Experiment:
 
 def experiments(store: Store, selection: Selection) -> list[Experiment]:
     """The experiments with complete runs that a selection allows. Raises BadInput if there is none."""
-    runs = [run for run in distinct(store, selection) if run["has_truth"]]
+    # A run without an end has no dwells in common with another one.
+    runs = [run for run in distinct(store, selection) if run["has_truth"] and run["dwells"] != NO_END]
     (documents,) = store.read("SELECT COUNT(DISTINCT document) AS n FROM run")
     found = []
     for number in dict.fromkeys(run["experiment"] for run in runs):
