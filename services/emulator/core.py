@@ -145,6 +145,7 @@ class EmulatorCore:
             "front_ends_failing": len(self._troubled()),
             "scans_senseless": self._counts.senseless,
             "dwells_not_measured": self._counts.dwells,
+            "looks_asked": self._counts.asked,
             "looks_not_measured": self._counts.looks,
         }
 
@@ -322,7 +323,8 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     if isinstance(scan, str):
         raise FrontEndError(scan)
     n_unmeasured = 0 if scan.unmeasured is None else scan.unmeasured.size
-    run.front_end.note(scan.bins.size, n_unmeasured, scan.fault, now_s)
+    n_measured = np.unique(scan.bins if scan.nus is None else scan.nus).size  # a look may have several rows
+    run.front_end.note(n_measured, n_unmeasured, scan.fault, now_s)
     if scan.t == 0:
         limit = threshold(run.radar.detector.p_fa)
         run.strongest = Strongest.of(Detections.of(vars(scan), run.radar.array.n_bin, limit), run.strongest)

@@ -37,7 +37,8 @@ class Counts:
     failures: int = 0  # openings and dwells that raised
     senseless: int = 0  # scans that were refused
     dwells: int = 0  # in which nothing was measured
-    looks: int = 0  # that were asked for and not measured, those of these dwells included
+    asked: int = 0  # looks
+    looks: int = 0  # ... that were not measured, those of these dwells included
 
 
 class KeptOpen:
@@ -116,6 +117,7 @@ class KeptOpen:
 
     def note(self, measured: int, unmeasured: int, fault: str | None, now_s: float) -> None:
         """Count what a dwell came to: looks that were measured, and those that were not."""
+        self._counts.asked += measured + unmeasured
         self._counts.looks += unmeasured
         if measured:
             if self._is_told:

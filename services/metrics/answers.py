@@ -278,7 +278,7 @@ def _is_lost(row: dict[str, Any]) -> bool | None:
     """Whether the track was lost in the dwells that were summed (`lost` of scoring.errors); None: there is none."""
     if row["out"] is None:
         return None
-    return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["outage_longest"] >= LONG_OUTAGE)
+    return bool(row["last_outage"] >= min(LOST_WINDOW, row["followed"]) or row["outage_longest"] >= LONG_OUTAGE)
 
 
 def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:

@@ -59,6 +59,7 @@ METRICS = {
     ),
     "scans_senseless": Meaning(CounterMetricFamily, "Scans of front ends that cannot be.", roles="emulator"),
     "dwells_not_measured": Meaning(CounterMetricFamily, "Dwells in which nothing was measured.", roles="emulator"),
+    "looks_asked": Meaning(CounterMetricFamily, "Looks that front ends were asked for.", roles="emulator"),
     "looks_not_measured": Meaning(CounterMetricFamily, "Looks that were asked for and not measured.", roles="emulator"),
     "plans_late": Meaning(
         CounterMetricFamily, "In real time: plans that were late, and extrapolated.", roles="allocator"

@@ -154,3 +154,15 @@ def test_an_acquisition_that_misses_a_bin_in_half_of_its_scans_takes_it_from_the
         assert np.array_equal(getattr(filled, name)[~is_new], getattr(seen, name))
     (end,) = [message for message in said if isinstance(message, RunEnd)]
     assert end.status == "complete"
+
+
+@pytest.mark.parametrize("name", ["bins", "orthogonal"])
+def test_a_track_is_not_lost_because_nothing_was_measured(name: str) -> None:
+    """Asked for the outage alone, or for it and dwells before it, in all of which the track was in its bin."""
+    store = _stored(name)
+    for first, last in ((OUTAGE[0], OUTAGE[-1]), (OUTAGE[0] - 5, OUTAGE[0] + 2)):
+        tracks = answer(store, "tracks", {"dwells": f"{first}:{last}"})
+        in_bin = {row["target"] for row in tracks} - {row["target"] for row in tracks if row["outage"]}
+        for row in answer(store, "summary", {"dwells": f"{first}:{last}"}):
+            assert row["target"] not in in_bin or row["lost"] is False
+        assert in_bin

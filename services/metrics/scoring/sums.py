@@ -41,6 +41,8 @@ _ROW = {  # of a score s of a run r
     "hits": f"CASE WHEN {SCORED} THEN s.hit END",
     # 0 of a target without a track, NULL without truth
     "in_bin": f"CASE WHEN {SCORED} THEN COALESCE(s.best_bin, -1) = s.true_bin END",
+    # Whether it was measured or not: an outage of the receiver is none of the track's, and none ends by it.
+    "followed": "s.outage IS NOT NULL",
     "out": "s.outage > 0",
     **{column.name: f"CASE WHEN {SCORED} THEN s.{column.name} END" for column in SCORE if column.mean},
     "visible": "s.visible",
@@ -179,7 +181,7 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
             f"SELECT block / {width // DWELLS} AS bucket, target, first_dwell AS first, last_dwell AS last,"
             f" {', '.join(_ROW)} FROM temp.block WHERE run = ?"
         )
-        lost = "2 * SUM(out) > SUM(n)"
+        lost = "2 * SUM(out) > SUM(followed)"
     of_targets = (
         "SELECT bucket, MIN(first) AS first, MAX(last) AS last, SUM(detections) AS detections, SUM(n) AS n,"
         f" {lost} AS lost, SUM(late) AS late, SUM(stale) AS stale, SUM(position) / SUM(tracked) AS position"

@@ -1,4 +1,5 @@
-// What is wrong with a run that is watched live, in a line: it stands still, and why; plans are late, cells are blind.
+// What is wrong with a run that is watched live, in a line: it stands still, and why; plans are late, cells are blind,
+// looks are not measured.
 
 import { Latest, ask } from "./api.js";
 import * as says from "./says.js";
@@ -9,7 +10,7 @@ const ASK_MS = 3000;
 const SILENT_MS = 6000; // or so many dwells without one:
 const SILENT_DWELLS = 5;
 const LATELY = 20; // dwells over which shares are counted
-const ALARMING = 0.05; // of plans that are late, of cells that are blind
+const ALARMING = 0.05; // of plans that are late, of cells that are blind, of looks that are not measured
 
 export class Alarms {
   constructor(session) {
@@ -49,14 +50,16 @@ function reasonsOf(processes) {
   return [...full, ...missing];
 }
 
-// What is wrong in these dwells: shares of plans and of cells.
+// What is wrong in these dwells: shares of plans, cells and looks.
 function lately(dwells) {
   const targets = dwells.flatMap((dwell) => dwell.targets.filter((one) => one.late !== null && !one.is_over));
   const blind = dwells.flatMap((dwell) => dwell.cells?.blind ?? []);
+  const looks = dwells.flatMap(({ cells }) => cells ? [...cells.bin.map(() => false), ...(cells.unmeasured ?? []).map(() => true)] : []);
   const share = (all, is) => (all.length ? all.filter(is).length / all.length : 0);
-  const [late, unseeing] = [share(targets, (one) => one.late), share(blind, (one) => one)];
+  const [late, unseeing, unmeasured] = [share(targets, (one) => one.late), share(blind, (one) => one), share(looks, (one) => one)];
   const found = [];
   if (late > ALARMING) found.push(`${fixed(100 * late, 0)} % of the plans are late`);
   if (unseeing > ALARMING) found.push(`${fixed(100 * unseeing, 0)} % of the cells are blind`);
+  if (unmeasured > ALARMING) found.push(`${fixed(100 * unmeasured, 0)} % of the looks are not measured`);
   return found;
 }

@@ -127,7 +127,8 @@ function search(frame, edges) {
   context.setLineDash([]);
 }
 
-// Around the edge: cells that were looked at, those over the threshold, of these the false alarms, and blind cells.
+// Around the edge: cells that were looked at, those over the threshold, of these the false alarms, blind cells, and in
+// another colour those that were not measured.
 function rim(frame, { radar, dwell }) {
   const { context, at, rim: radius } = frame;
   const { cells } = dwell;
@@ -135,6 +136,15 @@ function rim(frame, { radar, dwell }) {
   if (!cells || !edges || frame.zoom > 1) return;
   const [x, y] = at(0, 0);
   const isFalse = new Set(dwell.false_alarms ?? []);
+  context.lineWidth = 6;
+  context.strokeStyle = color("alarm");
+  context.setLineDash([2, 4]);
+  for (const bin of cells.unmeasured ?? []) {
+    context.beginPath();
+    context.arc(x, y, radius + 4, radians(edges[bin]) - Math.PI / 2, radians(edges[bin + 1]) - Math.PI / 2);
+    context.stroke();
+  }
+  context.setLineDash([]);
   for (let i = 0; i < cells.bin.length; i += 1) {
     const [from, to] = [radians(edges[cells.bin[i]]), radians(edges[cells.bin[i] + 1])];
     const isOver = cells.detected[i];

@@ -123,15 +123,16 @@ export class Session {
         this.began = performance.now();
         this.dwells.put(dwell);
         this.player.setNewest(dwell.t);
-        const isBlank = dwell.cells && !dwell.cells.bin.length && dwell.cells.fault;
-        says.notice("measured", isBlank ? `Nothing is measured: ${dwell.cells.fault}` : null);
+        const isBlank = dwell.cells && !dwell.cells.bin.length;
+        says.notice("measured", isBlank ? `Nothing is measured${dwell.cells.fault ? `: ${dwell.cells.fault}` : ""}.` : null);
         this.timeline.moved();
         this.timeline.refresh();
       },
       acquisition: (scan) => {
         const found = scan.tracks.filter((track) => track.status === "tracking").length;
         const nearest = scan.strongest ? `; ${scan.strongest}` : "";
-        const fault = scan.cells?.fault ? ` Nothing is measured: ${scan.cells.fault}.` : "";
+        const isBlank = scan.cells && !scan.cells.bin.length;
+        const fault = isBlank ? ` Nothing is measured${scan.cells.fault ? `: ${scan.cells.fault}` : ""}.` : "";
         says.empty(`Searching: ${found} of ${scan.tracks.length} tracks confirmed after ${scan.scans} scans${nearest}.${fault}`);
       },
       end: ({ status, reason, t }) => {

@@ -225,7 +225,7 @@ def test_a_measurement_that_makes_no_sense_counts_as_none(
     assert [record.levelname for record in caplog.records] == ["WARNING"]  # once for both dwells
     assert words in caplog.text
     counted = {"front_end_failures": 0, "front_ends_failing": 1, "scans_senseless": 2}
-    assert core.measures() == counted | {"dwells_not_measured": 2, "looks_not_measured": 32}
+    assert core.measures() == counted | {"dwells_not_measured": 2, "looks_asked": 48, "looks_not_measured": 32}
     receiver.wrong = {}
     (scan,) = core.handle(_waveform(2))
     assert isinstance(scan, Scan)

@@ -23,11 +23,14 @@ class Case(NamedTuple):
 
 PLANS = 'cogradar_messages_sent_total{role="planner",process="p",topic="plan"}'
 SCANS = 'cogradar_messages_sent_total{role="emulator",process="e",topic="scan"}'
+ASKED = "cogradar_looks_asked_total"
 CASES = {
     "CogradarDown": Case({'up{job="cogradar"}': "1x6 0x54"}, 35, 90, "nothing is known of the radar"),
     "CogradarNoFrontEnd": Case({'cogradar_up{role="emulator"}': "1x6 0x54"}, 35, 90, "No front end"),
     "CogradarFrontEndFails": Case({"cogradar_front_ends_failing": "0x6 1x54"}, 40, 90, "Nothing is measured"),
-    "CogradarNotMeasured": Case({"cogradar_looks_not_measured_total": "0x12 0+100x48"}, 65, 200, "20 looks a second"),
+    "CogradarNotMeasured": Case(
+        {ASKED: "0+100x60", "cogradar_looks_not_measured_total": "0+4x12 48+20x48"}, 65, 200, "20% of the looks"
+    ),
     "CogradarProcessDown": Case(
         {'cogradar_up{role="planner",process="planner-1"}': "1x6 0x54"}, 35, 90, "planner planner-1 does not answer"
     ),

@@ -161,7 +161,10 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
             for target in dwell["targets"]:
                 target["late"] = dwell["t"] % 2 == 0
             dwell["cells"]["blind"] = [True] + [False] * 9
+            dwell["cells"]["unmeasured"] = dwell["cells"]["bin"]
         route.fulfill(response=answer, json=document)
 
     page = show(f"{quiet}/?run=begun", before=lambda page: page.route("**/dwells?*", change))
-    expect(page.locator("#notice")).to_have_text(re.compile("% of the plans are late; 10 % of the cells are blind"))
+    expect(page.locator("#notice")).to_have_text(
+        re.compile("% of the plans are late; 10 % of the cells are blind; 50 % of the looks are not measured")
+    )
