@@ -33,6 +33,7 @@ _CELLS = 3  # range cells that may report one echo, but for the first and the la
 _HYPOTHESES, _SPREADS = 10.0, 6.0  # as many amplitudes, about, share the prior of one; of r, in standard deviations
 _QUANTILES, _NODES = 64, 512  # of the largest noise of a row; of a table over ln u from _LEAST to _MOST
 _LEAST, _MOST = -6.0, 14.0
+_AWAITED = 4  # scans in which a row that was measured in fewer than half of them is waited for
 _TINY = 1e-300
 
 
@@ -111,6 +112,7 @@ class Candidates:
         self._log_ratios = np.zeros((0, self._amplitudes(np.zeros(0)).shape[1]))  # (n, n_hypothesis)
         self._totals = np.zeros(0)  # (n,) sums of the statistics of a position
         self._seen = list[_Seen]()
+        self._measured = np.zeros(model.sensor.n_bin, dtype=np.int64)  # scans in which a row was
         # Of both ends: sum over scans of alpha_hat beside the end times the conjugate of that at the end.
         self._beside = np.zeros(2, dtype=np.complex128)
         for scan in scans:
@@ -123,6 +125,7 @@ class Candidates:
         where, rows = self._positions
         self._log_ratios += self._ratios(where[:, 1], rows, self._seen[-1])
         self._begin(scan)
+        self._measured += np.isfinite(scan.limits)
         where, rows = self._positions
         is_own = self._cells.is_near(where[:, 1], scan.ranges_km[rows])
         self._totals += np.where(is_own, scan.statistic[rows], 0.0)
@@ -189,15 +192,18 @@ class Candidates:
 
     def _confirmed(self) -> list[tuple[int, float]]:
         """Rows and ranges of confirmed targets, in which each is strongest; the strongest targets first."""
-        model = self._model
+        model, n_scan = self._model, len(self._seen)
+        if n_scan < _AWAITED and (2 * self._measured < n_scan).any():  # there may be the stronger echo of a target
+            return []
         sure = np.flatnonzero(self.log_odds >= -log(model.p_fa))
         where, rows = self._positions[0][sure], self._positions[1][sure]
         mates = model.response.is_one_echo(where[:, 0], where[:, 1], (where[:, :1], where[:, 1:]))
         is_other_end = mates & (np.abs(where[:, :1] - where[:, 0]) > 0.5)
-        strength = self._totals[sure] + is_other_end @ self._totals[sure]
+        totals = self._totals[sure] * (n_scan / np.maximum(self._measured[rows], 1))  # rows may lack other scans
+        strength = totals + is_other_end @ totals
         which_end = np.array([self._beside_end(row) for row in rows.tolist()])
         if model.response.measures_range:  # looks beside the bins' centres: those at both ends are not of one direction
-            which_end = self._totals[sure]
+            which_end = totals
         picked = list[int]()
         for i in np.lexsort((rows, -which_end, -strength)).tolist():
             if not mates[i, picked].any() and rows[i] not in rows[picked]:

@@ -281,3 +281,22 @@ def test_expected_scans_are_those_that_it_takes(u: float, rcs: str) -> None:
             k += 1
         taken.append(k)
     assert 0.5 < np.mean(taken) / expected_scans(radar, u) < 2.0
+
+
+@pytest.mark.parametrize("lost", [[], [{5}], [{5}, {5}], [{12}], [{12}, {5}], [{5}, set(), {5}]])
+def test_a_row_that_was_not_measured_in_a_scan_gives_its_target_to_no_neighbour(lost: list[set[int]]) -> None:
+    """The echo in 5 is heard in 6, too, and is a detection there."""
+    n, rng, model = 16, np.random.default_rng(0), of(16, 2)
+    acquisition = Acquisition(model)
+    for k, left in enumerate([*lost, *[set[int]()] * 4]):
+        statistic = 2.0 * rng.exponential(size=n)
+        statistic[[5, 6, 12]] = 90.0, 62.0, 90.0
+        kept = np.array(sorted(set(range(n)) - left), dtype=np.int32)
+        cells = {"bins": kept, "statistic": statistic[kept], "alpha_hat": np.zeros(kept.size, np.complex64)}
+        noise = {"sigma_hat": np.full(kept.size, SIGMA), "signature_power": np.full(kept.size, 100.0)}
+        unmeasured = {"unmeasured": bin_centres(n)[sorted(left)]} if left else {}
+        scan = bins_scan(n, k=k, **cells, **noise, beams=np.full((2, 1), -1, np.int32), **unmeasured)
+        if acquisition.add(scan) is not None:
+            break
+    assert acquisition.bins is not None
+    assert acquisition.bins.tolist() == [5, 12]
