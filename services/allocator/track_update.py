@@ -60,11 +60,11 @@ def updated(
     """
     array = radar.array
     response = response_of(radar.receiver.cells, array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
-    alive = [plan for plan in plans if plan.status == "tracking"]
-    if scan.bins.size:  # else nothing is new, and beliefs that grow broad would look like those of one target
-        alive = _one_each(radar, response, alive, scan.k)
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
+    alive = [plan for plan in plans if plan.status == "tracking"]
+    is_new = np.array([_is_told(told, plan.target) for plan in alive], dtype=np.bool_)
+    alive = _one_each(radar, response, alive, scan.k, is_new)
     # In real time a track may have begun after the waveform of this scan was sent.
     known = set(said.ids.tolist())
     untold = expected(radar, [plan for plan in alive if plan.target not in known], scan.k).tolist()
@@ -125,8 +125,24 @@ def _places(states: Floats, covariances: Floats) -> Floats:
     return np.column_stack((spatial_frequency(states), nu_sigma, np.minimum(range_km, FAR), range_sigma))
 
 
-def _one_each(radar: RadarConfig, response: Response, plans: Sequence[Plan], k: int) -> list[Plan]:
-    """Without the younger of two tracks of one target, or the one that is not confirmed."""
+def _is_told(scan: Detections, track: int) -> bool:
+    """Whether a scan tells something of a track: one of its looks was measured, or each look that was asked for."""
+    if scan.unmeasured is None:
+        return True
+    at = scan.row_of(track)
+    if scan.ids is None or at == scan.ids.size or scan.ids[at] != track:
+        return False
+    return bool(np.isin(scan.beam_nus[at][scan.beams[at] >= 0], scan.nus).any())
+
+
+def _one_each(
+    radar: RadarConfig, response: Response, plans: Sequence[Plan], k: int, is_told: NDArray[np.bool_]
+) -> list[Plan]:
+    """Without the younger of two tracks of one target, or the one that is not confirmed.
+
+    is_told : (M,) of which the scan tells something. Beliefs of two others only grow broad, and would come to look like
+              those of one target.
+    """
     if len(plans) < 2:
         return list(plans)
     moved = _moved(radar, plans, k)
@@ -135,6 +151,7 @@ def _one_each(radar: RadarConfig, response: Response, plans: Sequence[Plan], k: 
     spread_km = SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
     near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
+    near &= np.logical_or.outer(is_told, is_told)
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
         bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]

@@ -165,6 +165,20 @@ def test_a_tentative_track_gives_way_to_a_younger_one_that_is_confirmed() -> Non
     assert roster.ids.tolist() == [2]
 
 
+@pytest.mark.parametrize(("lost", "left"), [([], [2]), ([0.1], [2]), ([0.1, 0.105], [1, 2]), ([0.105, 0.3], [2])])
+def test_two_tracks_are_not_compared_while_the_looks_of_neither_are_measured(
+    lost: list[float], left: list[int]
+) -> None:
+    """What else the scan holds says nothing of them."""
+    nus = np.array([0.1, 0.105, 0.3])
+    kept = [(nu, 60.0) for nu in nus.tolist() if nu not in lost]
+    beams = angle_bin(nus[:2], RADAR.array.n_bin).astype(np.int32)[:, np.newaxis]
+    asked = {"beams": beams, "beam_nus": nus[:2, np.newaxis], "unmeasured": np.array(lost) if lost else None}
+    scan = _scan(*kept, roster=_roster(1, 2), statistic=1.0).model_copy(update=asked)
+    roster = _roster_of(_waveform(scan, _plan(1, 0.1, 60.0, confirmed=False), _plan(2, 0.1, 60.0)))
+    assert roster.ids.tolist() == left
+
+
 def test_where_a_track_is_expected_is_where_its_particles_will_be() -> None:
     """Against a cloud of particles that is moved one by one."""
     plan = _plan(3, 0.2, 50.0, covariance=np.diag([0.3, 0.0004, 0.5, 0.0002]))
