@@ -60,7 +60,9 @@ class Feed:
     async def acquisition(self, run: str, k: int) -> bytes:
         """Scan k."""
         store = self.core.store
-        found: bytes = await self._dwells.get((store, run, -1, k), lambda: dwells.acquisition(store, run, k))
+        found: bytes = await self._dwells.get(
+            (store, run, -1, k), lambda: dwells.acquisition(store, self.encoded, run, k)
+        )
         return found
 
 

@@ -25,7 +25,7 @@ from cogradar.shared.scoring.scan_rows import Floats, ScanRows, is_blind
 from cogradar.shared.signal.array import angle_bin, in_plane
 from cogradar.shared.signal.scan import Strongest
 
-SCANS = 64  # newest ones of an acquisition, of which the largest statistic is told
+SCANS = 64  # newest ones of an acquisition that are read at first, for the largest statistic
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
 KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
@@ -50,6 +50,7 @@ class Encoded:
         self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()  # by run, times it was forgotten, dwell
         self._bytes = 0
         self._lock = threading.Lock()
+        self.searched: tuple[Store, str, int, int, Strongest | None] | None = None  # store, run, times, k: up to scan k
 
     def get(self, store: Store, key: tuple[str, int, int]) -> bytes | None:
         """A dwell, if it is kept."""
@@ -118,7 +119,7 @@ def between(store: Store, known: Facts, encoded: Encoded, first: int, last: int,
     return [(t, data) for t, data in told.items() if data is not None]
 
 
-def acquisition(store: Store, run: str, k: int) -> bytes:
+def acquisition(store: Store, encoded: Encoded, run: str, k: int) -> bytes:
     """The event of scan k, in which targets are still looked for."""
     stored = store.dwell(run, k, ("plan", "scan"))
     plans = [
@@ -132,10 +133,12 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
     ]
     rows = facts(store, run).scan_rows
     cells = _cells(rows, stored["scan"][0] if stored["scan"] else None)
-    newest = queries.messages(store, run, "scan", range(max(k + 1 - SCANS, 0), k + 1))
-    strongest: Strongest | None = None
-    for scan in newest.values():
+    first, strongest, n = max(k + 1 - SCANS, 0), None, store.forgotten[run]
+    if encoded.searched is not None and encoded.searched[:3] == (store, run, n) and encoded.searched[3] <= k:
+        first, strongest = max(first, encoded.searched[3] + 1), encoded.searched[4]
+    for scan in queries.messages(store, run, "scan", range(first, k + 1)).values():
         strongest = Strongest.of(rows.read(scan), strongest)
+    encoded.searched = (store, run, n, k, strongest)
     found = {"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells}
     data = to_json(found | {"strongest": None if strongest is None else str(strongest)})
     return b"event: acquisition\nid: 0\ndata: %b\n\n" % data

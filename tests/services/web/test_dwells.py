@@ -8,6 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
+from cogradar.services.metrics import queries
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.web.app import create
@@ -59,6 +60,22 @@ def test_a_run_that_was_rewound_is_encoded_anew(journal: Path, tmp_path: Path, e
         assert ask(app, f"{RUNS}/begun/dwells").json()["dwells"][0]["t"] == to_t
     core.close()
     assert encoded[t:] == [t - 1, t]
+
+
+def test_of_an_acquisition_each_scan_is_read_once(core: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, messages = list[list[int]](), queries.messages
+
+    def counted(store: Any, run: str, topic: str, ks: Any) -> Any:
+        asked.append(list(ks))
+        return messages(store, run, topic, ks)
+
+    monkeypatch.setattr(queries, "messages", counted)
+    kept = dwells.Encoded()
+    told = [dwells.acquisition(core.store, kept, "whole", k) for k in (0, 1, 4)]
+    assert asked == [[0], [1], [2, 3, 4]]
+    assert told == [dwells.acquisition(core.store, dwells.Encoded(), "whole", k) for k in (0, 1, 4)]
+    dwells.acquisition(core.store, kept, "other", 1)
+    assert asked[-1] == [0, 1]
 
 
 def test_what_is_kept_is_bounded_and_of_one_journal(monkeypatch: pytest.MonkeyPatch) -> None:
