@@ -56,7 +56,7 @@ def search_directions(
     n_visit = visits.size
     n = search.beams if search.beams != "auto" else max(int(power / edge_power(radar)), -(-n_visit // LONGEST))
     numbers = first + np.arange(min(n, n_visit))
-    found = visits[numbers * _stride(n_visit) % n_visit]
+    found = visits[numbers % n_visit * _stride(n_visit) % n_visit]
     shifted = np.minimum(found + 0.5 * (numbers // n_visit % 2) / (n_bin - 1), 0.5)
     return np.unique(np.where(times(shifted) > 0, shifted, found)), first + numbers.size
 

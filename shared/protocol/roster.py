@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cogradar.shared.protocol.fields import FAR, LARGEST, FloatLists, Floats, Index, Ints
+from cogradar.shared.protocol.fields import FAR, LARGEST, Count, FloatLists, Floats, Index, Ints
 
 BIRTH = 8  # columns of `Roster.births`: nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2
 # ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km; existence, 0 .. 1
@@ -47,7 +47,7 @@ class Roster(Compared):
     births: FloatLists  # (b, BIRTH) detections of the last b of ids, which began with the scan that this answers
     expected: FloatLists  # (M, EXPECTED) where each track is expected in the next dwell
     searched: Floats  # (s,) directions of the search beams, ascending
-    next_search: Index  # number of the next beam of the search, counted from the first one of the run
+    next_search: Count  # number of the next beam of the search, counted from the first one of the run
     search_share: Annotated[float, Field(ge=0)]  # power of the search, all beams together
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from cogradar.shared.power.rules import Requests
 from cogradar.shared.power.search import LEAST_SHARE, P_D, edge_power, search_directions, search_power
 from cogradar.shared.power.wide import KEPT, sure_powers
+from cogradar.shared.protocol.roster import Roster, no_tracks
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
 from cogradar.shared.signal.array import bin_centres
@@ -100,3 +101,14 @@ def test_it_has_what_the_tracks_can_spare() -> None:
     assert search_power(radar, search, weak) == pytest.approx(1.0 - KEPT * sure_powers(radar, weak.gains).sum())
     assert search_power(radar, search, strong) == LEAST_SHARE
     assert search_power(*_radar("radar.search.share=0.3"), strong) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("first", [2**31 - 50, 2**44, 2**48 - 1000])
+def test_a_search_goes_on_after_any_number_of_beams(first: int) -> None:
+    """A run without an end makes 2^31 of them in a month or two."""
+    radar, search = _radar("radar.search.beams=100")
+    first -= first % 200  # two sweeps
+    nus, after = search_directions(radar, search, first, POWER)
+    assert np.array_equal(nus, search_directions(radar, search, 0, POWER)[0])
+    roster = no_tracks().model_dump() | {"next_search": after}
+    assert Roster.model_validate(roster).next_search == first + 100
