@@ -95,6 +95,9 @@ def _named(name: str) -> Callable[[Settings], FrontEnd]:
     make = getattr(module, attribute, None)
     if not callable(make):
         raise BadInput(f"{name}: there is no {attribute} that can be called in {module_name}")
+    lacking = [method for method in ("transmit", "close") if isinstance(make, type) and not hasattr(make, method)]
+    if lacking:
+        raise BadInput(f"{name}: a front end needs the method {lacking[0]}, which {attribute} has not")
     made: Callable[[Settings], FrontEnd] = make
     return made
 

@@ -173,6 +173,7 @@ def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> 
         ("math:Receiver", "there is no Receiver"),
         ("math:pi", "there is no pi that can be called"),
         ("recorded:nowhere.db", "no such file"),
+        ("decimal:Context", "needs the method transmit"),
     ],
 )
 def test_what_is_no_front_end_is_refused(name: str, words: str) -> None:

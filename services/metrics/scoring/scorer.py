@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from cogradar.services.metrics.scoring.coasting import coasted
 from cogradar.services.metrics.scoring.pairing import Assigned, Matched, estimate_in_plane
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.scenario import Scenario
@@ -39,7 +40,9 @@ class Scorer:
         self._pairing = Assigned(scenario) if scenario.radar.is_unknown else Matched(scenario)
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, MessageFields] = {}  # that may be radiated yet
-        self._plans: dict[int, MessageFields] = {}  # newest of each track that is there
+        self._plans: dict[int, MessageFields] = {}  # newest of each track that is there,
+        self._now: dict[int, MessageFields] = {}  # ... as they are in the dwell that is scored
+        self._motion = scenario.radar.motion
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._picture = AirPictureScorer(scenario)
@@ -69,7 +72,8 @@ class Scorer:
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
         places = _rows_of(scan)
         self._plans = {track: self._plans[track] for track in places if track in self._plans}
-        plans = [plan for plan in self._plans.values() if _is_shown(plan)]
+        self._now = {track: coasted(plan, k, self._motion) for track, plan in self._plans.items()}
+        plans = [plan for plan in self._now.values() if _is_shown(plan)]
         if not self._pairing.is_made(scan["t"], plans, truth):
             return None
         best_bins |= {track: self._born_bin(scan, places[track]) for track in self._plans.keys() - best_bins.keys()}
@@ -120,7 +124,7 @@ class Scorer:
                 detected = False if track is None else self._scan_rows.beam_is_over(scan, track)
             elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
-            plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
+            plan, best_bin = (None, None) if track is None else (self._now[track], best_bins[track])
             may_be_out = true_bin is not None and (track is not None or target in self._pairing.begun)
             is_out = may_be_out and (best_bin is None or true_bin is None or abs(best_bin - true_bin) >= self._out_by)
             self._outages[target] = self._outages[target] + 1 if is_out else 0

@@ -87,7 +87,10 @@ export class TrackList {
     });
     this.shown = rows.filter((row) => words.every((word) => fits(row, word))).sort((a, b) => this.order(a, b));
     const kind = radar.is_unknown ? "tracks" : "targets";
-    put(byId("list-caption"), `dwell ${dwell.t}: ${this.shown.length === rows.length ? "" : `${this.shown.length} of `}${rows.length} ${kind}`);
+    const unknown = words.map((word) => LIMIT.exec(word)).filter((limit) => limit && !this.columns.some(({ name }) => name.startsWith(limit[1])));
+    if (unknown.length) {
+      put(byId("list-caption"), `no column ${unknown[0][1]}: ${this.columns.map(({ name }) => name).join(", ")}`);
+    } else put(byId("list-caption"), `dwell ${dwell.t}: ${this.shown.length === rows.length ? "" : `${this.shown.length} of `}${rows.length} ${kind}`);
     for (const cell of this.table.tHead.rows[0].cells) {
       if (cell.dataset.name === this.sort) cell.setAttribute("aria-sort", this.isDown ? "descending" : "ascending");
       else cell.removeAttribute("aria-sort");

@@ -31,6 +31,10 @@ function listed(rows, problem) {
   }
   session.answered();
   const newest = newestOf(rows);
+  if (view.run === null && newest) {
+    show({ run: newest.run }); // with the dwell of the address, if it has one
+    return;
+  }
   const isGone = view.run !== null && !session.player.isRunning && !rows.some((row) => row.run === view.run);
   const movesOn = view.follows && newest && newest.run !== view.run && view.dwell === null && !session.player.isRunning;
   if (movesOn || (view.follows && newest && isGone)) {
@@ -132,9 +136,11 @@ byId("scope").addEventListener("wheel", (event) => {
   zoom(event.deltaY < 0 ? 1 : -1);
 }, { passive: false });
 
+// A target by its number; of tracks that come and go, whose numbers grow, that of a row of the table.
 const toTarget = (event) => {
-  const number = Number(event.key);
-  if (radar.dwell?.targets.some((one) => one.target === number)) show({ target: number });
+  const shown = radar.dwell?.targets ?? [];
+  const one = radar.radar?.is_unknown ? shown[Number(event.key) - 1] : shown.find((found) => found.target === Number(event.key));
+  if (one) show({ target: one.target });
 };
 const to = (name) => () => show({ view: name });
 listen({

@@ -98,7 +98,7 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
     ("text", "fault"),
     [
         ("", "action = '': must be one of power SHARE; sector blank|normal|double FROM TO; "),
-        ("pwoer 0.5", "action = 'pwoer': must be one of power SHARE"),
+        ("pow 0.5", "action = 'pow': must be one of power SHARE"),
         ("power", "power: must be power SHARE"),
         ("power half", "share = half: must be a number"),
         ("power 0", "share = 0.0: must be a number >= 0.01 and <= 1.0"),

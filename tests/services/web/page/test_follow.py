@@ -30,6 +30,13 @@ def _heading(run: str) -> str:
     return f"document.getElementById('heading').title === '{run}'"
 
 
+def test_a_dwell_without_a_run_is_of_the_newest(served: str, show: Open) -> None:
+    for address in ("?dwell=7", "?run=newest&dwell=7"):
+        page = show(f"{served}/{address}")
+        expect(page.locator("#dwell")).to_have_text("7")
+        until(page, "location.search === '?run=first&dwell=7'")
+
+
 def test_it_moves_on_to_the_next_run_by_itself(served: str, store: Path, smoke_run: list[Message], show: Open) -> None:
     page, pinned = show(f"{served}/"), show(f"{served}/?run=first")
     for one in (page, pinned):

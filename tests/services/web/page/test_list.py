@@ -37,6 +37,8 @@ def test_tracks_are_sorted_and_filtered(stored: str, show: Open) -> None:
     assert 0 < len(_column(page, "Range")) < 50
     assert max(_column(page, "Range")) < 40.5
     assert min(_column(page, "Bearing")) > 0.0
+    page.get_by_role("searchbox", name="Filter").fill("rnge<40")
+    expect(caption).to_have_text(re.compile("^no column rnge: track, state, age_s, range_km, "))
     page.get_by_role("searchbox", name="Filter").fill("no such state")
     expect(rows).to_have_count(0)
     expect(page.get_by_role("button", name="CSV")).to_be_disabled()

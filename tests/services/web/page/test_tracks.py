@@ -27,7 +27,7 @@ def test_tracks_come_are_confirmed_and_disappear(unknown: str, show: Open) -> No
     scrub.fill("8")
     expect(rows.locator("th")).to_have_text(["1", "3"])
     expect(rows.locator("td:nth-child(4)")).to_have_text(["90.0", "90.0"])
-    page.keyboard.press("3")
+    page.keyboard.press("2")  # the second row
     expect(page.locator("#course-title")).to_contain_text("Track 3: detected")
     expect(page.locator("#course .subplot")).to_have_count(4)
     expect(page.locator("#facts")).to_contain_text("90.0 %, turns 10 %, hard 10 %")
