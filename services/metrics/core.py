@@ -25,7 +25,7 @@ from cogradar.shared.wire.meter import Measures
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
 COMMANDED_S = 5.0  # for which a command is sent again
-MAX_COMMANDS = 100  # that wait for a tick
+MAX_COMMANDS = 100  # that the journal lacks
 log = logging.getLogger(__name__)
 
 
@@ -43,7 +43,7 @@ class MetricsCore:
         self._behind: list[str] = []  # runs of the past that may lack scores
         self._advanced: dict[str, tuple[int, float]] = {}  # durable dwells of runs that go on, and since when
         self._asked: dict[str, tuple[Command, float]] = {}  # commands that the journal lacks, and until when, by id
-        self._new: deque[Command] = deque(maxlen=MAX_COMMANDS)  # from other threads
+        self._new: deque[Command] = deque()  # from other threads
         self._reopen()
 
     @property
@@ -56,32 +56,38 @@ class MetricsCore:
         """Whether runs of the past have not been scored yet."""
         return bool(self._behind or self._new)
 
-    def command(self, command: Command) -> None:
-        """Send a command to the recorder, again until the journal has it or some seconds are over; from any thread."""
-        self._new.append(command)
+    def command(self, command: Command) -> bool:
+        """Send a command to the recorder, again until the journal has it or some seconds are over; from any thread.
+
+        Returns false, and sends nothing, if too many wait.
+        """
+        if is_free := len(self._new) + len(self._asked) < MAX_COMMANDS:
+            self._new.append(command)
+        return is_free
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Score what has become durable, and a piece of the past, so that the next answer has little left to do."""
-        try:
-            self._follow(event)
-        except StoreFailed as error:  # no room for scores: they are derived when somebody asks
-            if str(error) != self._fault:
-                log.error("%s", error)
-            self._fault = str(error)
-        else:
-            self._fault = self._fault if isinstance(event, Tick) else ""
-        return self._commands(event.now_s) if isinstance(event, Tick) else ()
+        fault = self._fault if isinstance(event, Tick) else ""
+        for step in (self._follow, self._confirm):
+            try:
+                step(event)
+            except StoreFailed as error:  # no room for scores: they are derived when somebody asks
+                if (fault := str(error)) != self._fault:
+                    log.error("%s", error)
+        self._fault = fault
+        return tuple(command for command, _ in self._asked.values()) if isinstance(event, Tick) else ()
 
-    def _commands(self, now_s: float) -> Sequence[Message]:
-        """The commands that the journal lacks."""
+    def _confirm(self, event: Event) -> None:
+        """Forget the commands that the journal has, or that were sent for long enough."""
+        if not isinstance(event, Tick):
+            return
         while self._new:
             new = self._new.popleft()
-            self._asked[new.id] = new, now_s + COMMANDED_S
+            self._asked[new.id] = new, event.now_s + COMMANDED_S
         for id_, (command, until_s) in list(self._asked.items()):
             query = "SELECT 1 FROM command WHERE run = ? AND id = ?"
-            if now_s > until_s or self.store.read(query, [command.run, id_]):
+            if event.now_s > until_s or self.store.read(query, [command.run, id_]):
                 del self._asked[id_]
-        return tuple(command for command, _ in self._asked.values())
 
     def _follow(self, event: Event) -> None:
         match event:

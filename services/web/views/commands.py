@@ -48,7 +48,9 @@ async def _command(request: Request) -> Response:
     if status != "running":
         raise Problem(HTTPStatus.CONFLICT, f"run = {run!r}: has ended already ({status})")
     asked = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
-    core.command(asked)
+    if not core.command(asked):
+        detail = "too many commands wait for the recorder; this one was not sent"
+        raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, detail, {"Retry-After": "1"})
     until = time.monotonic() + WITHIN_S
     while (row := await run_sync(_row, core, asked)) is None:
         if time.monotonic() > until:

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services.errors import BadInput
-from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.metrics.core import COMMANDED_S, MAX_COMMANDS, MetricsCore
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message
+from cogradar.shared.protocol.orders import PowerLimit
 from tests.services.loop import play, smoke_start
 
 DWELLS = 40
@@ -115,3 +116,30 @@ def test_a_file_that_is_put_in_the_place_of_another_is_opened(sent: list[Message
     Path(other).replace(path)
     assert _n(core) == []
     core.close()
+
+
+def test_commands_wait_for_the_recorder_and_those_that_are_too_many_are_refused(
+    sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = str(tmp_path / "runs.db")
+    journal = Journal(path)
+    RecorderCore(journal).handle(sent[0])
+    core = MetricsCore(path)
+    commands = [
+        Command(run="r", id=f"{n:032x}", by="me", action=PowerLimit(share=0.5)) for n in range(MAX_COMMANDS + 1)
+    ]
+    assert [core.command(one) for one in commands[:3]] == [True] * 3
+    assert core.handle(Tick(0.0)) == tuple(commands[:3])
+    assert [core.command(one) for one in commands[3:]] == [True] * (MAX_COMMANDS - 3) + [False]
+    assert core.handle(Tick(0.25)) == tuple(commands[:MAX_COMMANDS])
+
+    def fails(*_: object) -> None:
+        raise StoreFailed("runs.db: disk I/O error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(core.store, "read", fails)
+        assert len(core.handle(Tick(0.5))) == MAX_COMMANDS
+    assert core.handle(Tick(0.5 + COMMANDED_S)) == ()
+    assert core.command(commands[-1])
+    core.close()
+    journal.close()

@@ -138,9 +138,15 @@ def test_a_command_that_nobody_confirms_is_said_to_be_open(
     metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cogradar.services.web.views.commands.WITHIN_S", 0.2)
-    monkeypatch.setattr(metrics, "command", lambda _: None)
+    monkeypatch.setattr(metrics, "command", lambda _: True)
     found = _post(create(metrics, ADMITTED, 0.1), "r", json=HALF)
     assert (found.status_code, found.json()["detail"][:38]) == (504, "no recorder confirmed it within 0 s: i")
+
+
+def test_a_command_that_cannot_wait_is_refused(metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cogradar.services.metrics.core.MAX_COMMANDS", 0)
+    found = _post(create(metrics, ADMITTED, 0.1), "r", json=HALF)
+    assert (found.status_code, found.json()["detail"][:36]) == (503, "too many commands wait for the recor")
 
 
 def test_commanders_are_read_from_the_environment_or_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
