@@ -72,7 +72,7 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
             of_looks = np.array([look.share * array.power for look in asked])
             left = _with_power(radar, array.power - float(of_looks.sum())) if asked else radar
             power = search_power(left, radar.search, requests)
-            times = partial(searches, orders)
+            times = partial(searches, orders, margin=_margin(radar, orders))
             searched, next_search = search_directions(radar, radar.search, update.next_search, power, times)
             of_search = np.full(searched.size, power / max(searched.size, 1))
             searched, place = np.unique(np.append(searched, [look.nu for look in asked]), return_inverse=True)
@@ -104,11 +104,18 @@ def _outside_blanked(radar: RadarConfig, plan: Plan, orders: Sequence[Order]) ->
     """A plan without its cells in blanked sectors; none may be left."""
     if plan.nus is None or not any(isinstance(order.action, SectorSearch) for order in orders):
         return plan
-    kept = np.flatnonzero(searches(orders, plan.nus))
+    margin = _margin(radar, orders)
+    kept = np.flatnonzero(searches(orders, plan.nus, margin))
     near = np.arange(-plan.reach - 1, plan.reach + 2) / (radar.array.n_bin - 1)  # looks may be widened so far
-    is_clear = bool(searches(orders, np.clip(plan.nus[:, np.newaxis] + near, -0.5, 0.5)).all())
+    is_clear = bool(searches(orders, np.clip(plan.nus[:, np.newaxis] + near, -0.5, 0.5), margin).all())
     cells = {name: getattr(plan, name)[kept] for name in ("bins", "nus", "chances")}
     return plan.model_copy(update=cells | {"reach": plan.reach if is_clear else 0})
+
+
+def _margin(radar: RadarConfig, orders: Sequence[Order]) -> float:
+    """What stays free beside a blanked sector, in nu: half a beam's width, or nothing if no bin were left."""
+    half_beam = 0.5 / radar.array.n_tx
+    return half_beam if searches(orders, bin_centres(radar.array.n_bin), half_beam).any() else 0.0
 
 
 def _with_unlit(sent: Emission, lit: Sequence[int], served: Sequence[Plan]) -> Emission:

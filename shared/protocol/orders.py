@@ -151,13 +151,30 @@ def power_share(orders: Iterable[Order]) -> float:
     return min((order.action.share for order in orders if isinstance(order.action, PowerLimit)), default=1.0)
 
 
-def searches(orders: Iterable[Order], nus: NDArray[np.float64]) -> NDArray[np.int64]:
-    """How often each direction is searched in a sweep under orders in force: 0, 1 or 2; (n,) -> (n,)."""
+def searches(orders: Iterable[Order], nus: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.int64]:
+    """How often each direction is searched in a sweep under orders in force: 0, 1 or 2; (n,) -> (n,).
+
+    Never nearer to a blanked sector than `margin` in nu. Both ends of the field of view, nu = -0.5 and 0.5, are one
+    direction of the array: a beam at one of them has a main lobe at the other.
+    """
+    sectors = [order.action for order in orders if isinstance(order.action, SectorSearch)]
+    times = _told(sectors, nus)
+    edges = np.unique([-0.5, 0.5, *(edge for sector in sectors for edge in sector.nus)])
+    is_blank = _told(sectors, 0.5 * (edges[:-1] + edges[1:])) == 0
+    for low, high in zip(edges[:-1][is_blank].tolist(), edges[1:][is_blank].tolist(), strict=True):
+        for turn in (-1.0, 0.0, 1.0):
+            times[(low - margin < nus + turn) & (nus + turn < high + margin)] = 0
+    is_end = np.abs(nus) == 0.5
+    times[is_end] = np.where(_told(sectors, -nus[is_end]) == 0, 0, times[is_end])
+    return times
+
+
+def _told(sectors: Sequence[SectorSearch], nus: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Visits of each direction by the sectors as they are written."""
     times = np.ones(nus.shape, np.int64)
-    for order in orders:
-        if isinstance(sector := order.action, SectorSearch):
-            low, high = sector.nus
-            times[(low <= nus) & (nus <= high)] = sector.times
+    for sector in sectors:
+        low, high = sector.nus
+        times[(low <= nus) & (nus <= high)] = sector.times
     return times
 
 

@@ -82,8 +82,10 @@ def test_no_beam_is_steered_into_a_blanked_sector_and_tracks_in_it_coast() -> No
         roster = _roster(sent)
         is_lit = sent.beams[:, 0] >= 0
         assert sent.nus is not None
-        assert (roster.searched > 0.0).all()
-        assert (sent.nus[is_lit] > 0.0).all()
+        half_beam = 0.5 / sent.factor.shape[0]
+        for nus in (roster.searched, sent.nus[is_lit]):
+            assert (nus >= half_beam).all()
+            assert (nus <= 0.5 - half_beam).all()  # beyond, it would be as near to -90 degrees
         assert roster.searched.size > 0
         assert _power(sent) == pytest.approx(1.0, rel=1e-5)
         lit, coasting = lit + int(is_lit.sum()), coasting + int((roster.confirmed[~is_lit] == 1).sum())

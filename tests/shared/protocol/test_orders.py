@@ -28,6 +28,7 @@ from cogradar.shared.protocol.orders import (
     searches,
     text_of,
 )
+from cogradar.shared.signal.array import steering_vector
 
 SEARCHES: tuple[Literal["blank", "normal", "double"], ...] = ("blank", "normal", "double")
 EDGES = (-90.0, -30.0, 0.0, 30.0, 90.0)
@@ -65,11 +66,29 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
                 seen.append(order.action)
             case _:
                 pass
+    if 0 in times[[0, -1]]:  # one direction
+        times[[0, -1]] = 0
     there = in_force(given_, k)
     assert power_share(there) == share
     assert searches(there, NUS).tolist() == times.tolist()
     is_blanked = not searches(there, np.array([nu_of(10.0)]))[0]
     assert looks(there) == ([] if is_blanked else seen)
+
+
+@pytest.mark.parametrize("sector", [(-90, -60), (60, 90), (-30, -10), (-90, -10)])
+def test_no_beam_radiates_its_main_lobe_into_a_blanked_sector(sector: tuple[float, float]) -> None:
+    """The half power of a beam is 0.44 / n_tx off its axis, and a later sector beside it changes nothing."""
+    n_tx, grid = 16, np.linspace(-0.5, 0.5, 1601)
+    blank = Order(n=1, k=0, action=SectorSearch(from_deg=sector[0], to_deg=sector[1], search="blank"))
+    beside = Order(n=2, k=1, action=SectorSearch(from_deg=-10, to_deg=60, search="double"))
+    low, high = (nu_of(edge) for edge in sector)
+    kept = grid[searches([blank, beside], grid, 0.5 / n_tx) > 0]
+    inside = np.linspace(low, high, 201)
+    gains = np.abs(steering_vector(kept, n_tx).conj() @ steering_vector(inside, n_tx).T / n_tx) ** 2
+    edge_gain = np.abs(steering_vector(0.5 / n_tx, n_tx).sum() / n_tx) ** 2  # 0.41
+    assert gains.max() <= edge_gain + 1e-9
+    assert kept.size > 100
+    assert searches([blank], np.array([-0.5, 0.5])).tolist() == ([1, 1] if abs(low) + abs(high) < 0.5 else [0, 0])
 
 
 def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
