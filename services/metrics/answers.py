@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 
 from cogradar.services.errors import BadInput
-from cogradar.services.metrics.messages import one_run, orders, page
+from cogradar.services.metrics.messages import command, commands, one_run, orders, page, refusal
 from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
-from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected
+from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected, whole
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.journal import order_of
-from cogradar.shared.protocol.orders import text_of
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
@@ -46,12 +44,12 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
         return _INTERNAL[metric](store, parameters)
     if metric not in METRICS:
         raise BadInput(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
+    if metric == "commands":
+        return commands(store, parameters)
     selection = Selection.of(parameters)
     if metric == "runs":
         return _runs(store, selection)
     runs = selected(store, selection)
-    if metric == "commands":
-        return _commands(store, selection, runs)
     store.derive(run["run"] for run in runs)
     if len(runs) == 1 and (name := runs[0]["run"]) in store.unreadable:
         raise BadInput(f"run = {name!r}: cannot be read: {store.unreadable[name]}")
@@ -87,7 +85,7 @@ def _add_p_d(rows: Rows) -> Rows:
 
 
 def _runs(store: Store, selection: Selection) -> Rows:
-    _whole("runs", selection)
+    whole("runs", selection)
     condition, values = selection.of_runs
     rows = store.read(
         f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
@@ -98,31 +96,6 @@ def _runs(store: Store, selection: Selection) -> Rows:
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
     )
     return [row | (_now(store, row) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
-
-
-def _commands(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    """One row per command of a run: who asked for what, when, and what became of it."""
-    _whole("commands", selection)
-    found = Rows()
-    for run in runs:
-        (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
-        query = (
-            "SELECT run, n, asker AS 'by', strftime('%Y-%m-%dT%H:%M:%SZ', asked_s, 'unixepoch') AS asked, action, k,"
-            " reason, id, over_k FROM command WHERE run = ? ORDER BY n"
-        )
-        for row in store.read(query, [run["run"]]):
-            is_over = row.pop("over_k") is not None or run["status"] != "running"
-            state = "refused" if row["k"] is None else "over" if is_over else "in force"
-            is_pending = state == "in force" and row["k"] > (-1 if newest["k"] is None else newest["k"])
-            action = order_of({"n": row["n"], "k": 0, "action": row["action"]}).action
-            t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
-            found.append(row | {"t": t, "action": text_of(action), "state": "pending" if is_pending else state})
-    return selection.page(found)
-
-
-def _whole(metric: str, selection: Selection) -> None:
-    if selection.target is not None or selection.first is not None or selection.last is not None:
-        raise BadInput(f"`{metric}` is about whole runs: it takes no target and no dwells")
 
 
 def count(store: Store, parameters: Mapping[str, str]) -> int:
@@ -204,7 +177,7 @@ def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) ->
 
 def _confirmation(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per experiment and strategy, of runs of an unknown number of targets."""
-    _whole("confirmation", selection)
+    whole("confirmation", selection)
     found = dict[tuple[Any, ...], list[Run]]()
     for run in _with_truth("confirmation", runs):
         if run["n_track"] is None:
@@ -283,7 +256,7 @@ def _is_lost(row: dict[str, Any]) -> bool | None:
 
 def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run that has begun to track: all tracks and targets together (`cogradar.shared.scoring.picture`)."""
-    _whole("picture", selection)
+    whole("picture", selection)
     found = figures(store, [run["run"] for run in runs])
     of_run = ("run", "scenario", "strategy", "seed")
     begun = selection.page([run for run in runs if run["run"] in found])
@@ -349,4 +322,6 @@ _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
     "messages": page,
     "orders": orders,
     "pictures": _pictures,
+    "command": command,
+    "refusal": refusal,
 }  # of our own programs

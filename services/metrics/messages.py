@@ -1,20 +1,31 @@
-"""A run as it was recorded: how it began, and its messages in pages, for programs that want more than its scores."""
+"""A run as it was recorded: how it began, its messages in pages, the commands to it, and why none can be given."""
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
+from typing import Any
 
 from cogradar.services.errors import BadInput
-from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected
+from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected, whole
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import order_of
+from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.orders import Look, Order, SectorSearch, in_force, text_of
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.wire.codec import fields
 
 TOPICS = tuple(BY_MESSAGE[message].name for message in (Scan, Truth, Plan, Waveform))
 PAGE_BYTES = 1 << 20  # of payloads; a page that has so many is ended,
 AT_ONCE = 16  # ... after so many dwells, which are read at a time
+OPEN = "open"  # as the state that is asked for: what is not over and was not refused
+NEWEST_DWELLS = 32  # in which the newest waveform is looked for: without one, the allocator is away
+_COLUMNS = (
+    "run, n, asker AS 'by', strftime('%Y-%m-%dT%H:%M:%SZ', asked_s, 'unixepoch') AS asked, action,"
+    " k, reason, id, over_k"
+)
 
 
 def one_run(store: Store, parameters: Mapping[str, str]) -> list[Run]:
@@ -57,3 +68,92 @@ def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
         if size >= PAGE_BYTES:
             break
     return rows
+
+
+def commands(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """One row per command of a run: who asked for what, when, and what became of it.
+
+    Parameters: those of a selection, without target and dwells; state = "open". Raises BadInput.
+    """
+    parameters = dict(parameters)
+    state = parameters.pop("state", None)
+    if state not in {None, OPEN}:
+        raise BadInput(f"state = {state!r}: must be {OPEN}")
+    selection = Selection.of(parameters)
+    whole("commands", selection)
+    found = list[Run]()
+    for run in selected(store, selection):
+        if state is None:
+            found += _rows(store, run)
+        elif run["status"] == "running":
+            found += _rows(store, run, "k IS NOT NULL AND over_k IS NULL")
+    return selection.page(found)
+
+
+def command(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """The row of the command with this id, if the journal of the run has it. Parameters: run, id."""
+    (run,) = selected(store, Selection(run=parameters.get("run", "")))
+    return _rows(store, run, "id = ?", [parameters.get("id", "")])
+
+
+def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """Why no command can be given to a run: `fault`, missing, ended, full or held, and `reason`; no row if one can.
+
+    Parameters: run.
+    """
+    name = parameters.get("run", "")
+    query = "SELECT status, (SELECT COUNT(*) FROM command WHERE command.run = run.run) AS n FROM run WHERE run = ?"
+    rows = store.read(query, [name])
+    if not rows:
+        return [{"fault": "missing", "reason": f"run = {name!r}: no such run"}]
+    if (status := rows[0]["status"]) != "running":
+        return [{"fault": "ended", "reason": f"run = {name!r}: has ended already ({status})"}]
+    if rows[0]["n"] >= MAX_COMMANDS:
+        return [{"fault": "full", "reason": f"run = {name!r}: has {MAX_COMMANDS} commands, which is all it can have"}]
+    if name in store.held:
+        return [{"fault": "held", "reason": f"run = {name!r}: is held, the recorder's disk is full"}]
+    return []
+
+
+def _rows(store: Store, run: Run, condition: str = "1", values: Sequence[str] = ()) -> list[Run]:
+    """list[Run] of `commands` of one run."""
+    query = f"SELECT {_COLUMNS} FROM command WHERE run = ? AND {condition} ORDER BY n"
+    rows = store.read(query, [run["run"], *values])
+    if not rows:
+        return []
+    (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
+    k = -1 if newest["k"] is None else newest["k"]
+    missing = _missing(store, run["run"], k) if run["status"] == "running" else set[int]()
+    return [_row(run, row, k, is_missing=row["n"] in missing) for row in rows]
+
+
+def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> dict[str, Any]:
+    is_over = row.pop("over_k") is not None or run["status"] != "running"
+    if row["k"] is None or is_over:
+        state = "refused" if row["k"] is None else "over"
+    elif row["k"] > newest_k:
+        state = "pending"
+    else:
+        state = "awaits the allocator" if is_missing else "in force"
+    action = order_of({"n": row["n"], "k": 0, "action": row["action"]}).action
+    t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
+    return row | {"t": t, "action": text_of(action), "state": state}
+
+
+def _missing(store: Store, run: str, newest_k: int) -> set[int]:
+    """Numbers of the sectors and looks of the newest dwell that its waveform, the newest one, does not obey.
+
+    In real time the front end goes on with an old waveform while the allocator is away. Limits it knows itself.
+    """
+    query = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
+    orders: list[Order] = [order_of(row) for row in store.read(query, [run, newest_k])]
+    asked = {order.n for order in in_force(orders, newest_k) if isinstance(order.action, SectorSearch | Look)}
+    if not asked:
+        return asked
+    newest = store.read(
+        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = 'waveform'"
+        " ORDER BY k DESC LIMIT 1",
+        [run, newest_k - NEWEST_DWELLS, newest_k],
+    )
+    obeyed = fields(newest[0]["payload"]).get("orders") if newest else None
+    return asked - set([] if obeyed is None else obeyed.tolist())

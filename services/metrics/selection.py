@@ -125,6 +125,12 @@ def selected(store: Store, selection: Selection) -> list[Run]:
     return runs
 
 
+def whole(metric: str, selection: Selection) -> None:
+    """Refuse a target and dwells where a question is about whole runs. Raises BadInput."""
+    if selection.target is not None or selection.first is not None or selection.last is not None:
+        raise BadInput(f"`{metric}` is about whole runs: it takes no target and no dwells")
+
+
 def _meant(store: Store, column: str, text: str | None) -> str:
     """The name of a run or a scenario, among the newest, that was probably meant."""
     newest = store.read(f"SELECT DISTINCT {column} AS name FROM run ORDER BY rowid DESC LIMIT {GUESSES}")

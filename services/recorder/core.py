@@ -14,6 +14,7 @@ from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
+from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,
@@ -28,6 +29,7 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
+from cogradar.shared.protocol.orders import in_force, text_of
 from cogradar.shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.wire.codec import BadMessage, decode, encode
@@ -37,7 +39,6 @@ COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than
 BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
 MAX_RUNS = 256  # that go on at a time
-MAX_COMMANDS = 10_000  # of a run in the journal
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
@@ -248,6 +249,9 @@ class RecorderCore:
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
     def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
+        if there := in_force(run.orders.orders, run.k):
+            names = ", ".join(text_of(order.action) for order in there)
+            log.warning("%s ends, and with it its orders: %s; the next run begins without any", run.start.run, names)
         del self._runs[run.start.run], self._spans[run.start.run]
         self._journal.acknowledge(run.start.run, run.k, run.t)
         self._journal.end_run(end, digest)

@@ -322,8 +322,9 @@ class Journal:
 
     def commands(self, run: str, id_: str) -> tuple[int, int, bool]:
         """The last number of a run's commands, how many there are, and whether this one is among them."""
-        query = "SELECT COALESCE(MAX(n), 0), COUNT(*), COALESCE(SUM(id = ?), 0) FROM command WHERE run = ?"
-        (row,) = self.rows(query, [id_, run])
+        is_known = "EXISTS (SELECT 1 FROM command WHERE run = ?1 AND id = ?2)"
+        query = f"SELECT COALESCE(MAX(n), 0), COUNT(*), {is_known} FROM command WHERE run = ?1"
+        (row,) = self.rows(query, [run, id_])
         return int(row[0]), int(row[1]), bool(row[2])
 
     def unfinished(self) -> list[str]:

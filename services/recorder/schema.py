@@ -20,6 +20,7 @@ from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 SCHEMA_VERSION = 16
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
+MAX_COMMANDS = 10_000  # of a run
 MEMORY = ":memory:"
 ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
 _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
@@ -72,7 +73,7 @@ CREATE TABLE command ( -- what somebody asked of a run that went on
     k INTEGER, -- the first dwell under it, null if it was refused
     reason TEXT NOT NULL DEFAULT '', -- why it was refused
     over_k INTEGER, -- [dwells] no dwell from this one on is shaped by it, null before
-    PRIMARY KEY (run, n)) WITHOUT ROWID;
+    PRIMARY KEY (run, n), UNIQUE (run, id)) WITHOUT ROWID;
 CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name
     );

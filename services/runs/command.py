@@ -11,7 +11,7 @@ from typing import Any
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
-from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S, check_running
+from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S
 from cogradar.shared.protocol.messages import Command
 from cogradar.shared.protocol.orders import parsed
 from cogradar.shared.protocol.permissions import COMMANDER
@@ -40,7 +40,7 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
         raise NoMetrics(f"no metrics service: {error}") from None
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
-        check_running(session, run)
+        _check(session, run)
         command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
         row = _confirmed(session, lambda: bus.publish(command), command)
     except NoAnswer:
@@ -52,18 +52,25 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
     return row
 
 
+def _check(session: Session, run: str) -> None:
+    """Raises BadInput if a run cannot be commanded, NoAnswer."""
+    for row in json.loads(ask(session, "refusal", {"run": run}, ANSWER_WITHIN_S)):
+        raise BadInput(row["reason"])
+
+
 def _confirmed(session: Session, send: Callable[[], None], command: Command) -> dict[str, Any]:
-    """The row of a command, which is sent until there is one. Raises RunFailed."""
-    deadline = time.monotonic() + WITHIN_S
+    """The row of a command, which is sent until there is one. Raises BadInput, NoAnswer, RunFailed."""
+    deadline, asked = time.monotonic() + WITHIN_S, {"run": command.run, "id": command.id}
     while time.monotonic() < deadline:
         send()
         time.sleep(POLL_S)
         try:
-            rows: list[dict[str, Any]] = json.loads(ask(session, "commands", {"run": command.run}, ANSWER_WITHIN_S))
+            rows: list[dict[str, Any]] = json.loads(ask(session, "command", asked, ANSWER_WITHIN_S))
         except NoAnswer:
             continue
-        if found := [row for row in rows if row["id"] == command.id]:
-            return found[0]
+        if rows:
+            return rows[0]
+    _check(session, command.run)
     raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
 
 

@@ -28,6 +28,7 @@ OF_PICTURES = tuple(name for name in OF_SCORES if name not in {"target", "dwells
 SCORED = dict.fromkeys(("summary", "p_d", "rmse", "consistency", "tracks"), OF_SCORES) | dict.fromkeys(
     ("confirmation", "picture", "commands"), OF_PICTURES
 )
+SCORED["commands"] += ("state",)
 SCORED["antennas"] = tuple(name for name in OF_SCORES if name != "target")
 _FINISHED = ("complete", "failed")
 _ROOT = Path(__file__).resolve().parents[2]

@@ -182,7 +182,7 @@ class CommandRow(Document):
     action: str = Field(description="As `cogradar command` takes it.")
     k: int | None = Field(description="The first dwell under it, counted from 0; null: it was refused.")
     t: int | None = Field(description="The same by the clock of the run, from 1; null during an acquisition.")
-    state: Literal["pending", "in force", "over", "refused"]
+    state: Literal["pending", "in force", "awaits the allocator", "over", "refused"]
     reason: str = Field(description="Why it was refused.")
     id: str
 

@@ -54,7 +54,7 @@ _ROW = {  # of a score s of a run r
         for name, term in zip(names, _CONSISTENCY, strict=True)
     },
 }
-_LATER = 2**20  # more than any outage: of two dwells the later one has the larger sum
+_LATER = 2**31  # more than any outage: of two dwells the later one has the larger sum
 _MOST = {  # not summed: the largest
     "outage_longest": "s.outage",
     "last_outage": f"{_LATER} * s.t + s.outage",

@@ -8,7 +8,7 @@ const EVERY_MS = 1000;
 export class Orders {
   constructor() {
     this.list = byId("orders");
-    this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/commands`), (answer) => this.draw(answer?.rows ?? []));
+    this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/commands?state=open`), (answer) => this.draw(answer?.rows ?? []));
   }
 
   // Of this run; null: of none.
@@ -22,12 +22,12 @@ export class Orders {
   }
 
   draw(rows) {
-    const shown = rows.filter(({ state }) => state === "in force" || state === "pending");
-    this.list.hidden = !shown.length;
-    this.list.replaceChildren(...shown.map((row) => {
-      const item = make("li", row.state === "pending" ? "pending" : "");
+    this.list.hidden = !rows.length;
+    this.list.replaceChildren(...rows.map((row) => {
+      const item = make("li", row.state === "in force" ? "" : "pending");
       const since = `${row.state === "pending" ? "from" : "since"} dwell ${row.t ?? "–"}`;
-      item.append(make("b", "", row.action), ` ${since}, ${row.by}`);
+      const awaits = row.state === "awaits the allocator" ? `, ${row.state}` : "";
+      item.append(make("b", "", row.action), ` ${since}, ${row.by}${awaits}`);
       return item;
     }));
   }

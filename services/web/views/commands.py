@@ -15,7 +15,7 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.web.address import COMMAND_VARIABLE, Admitted
 from cogradar.services.web.parameters import shown_token
-from cogradar.services.web.problem_documents import Problem, bad, missing
+from cogradar.services.web.problem_documents import Problem, bad
 from cogradar.services.web.run_answers import core_of, run_of, scored
 from cogradar.shared.protocol.messages import Command
 from cogradar.shared.protocol.orders import action_of
@@ -24,6 +24,12 @@ WITHIN_S = 5.0
 POLL_S = 0.05
 MAX_BODY = 4096  # bytes
 MAX_DWELL = 2**31 - 1
+_STATUS = {  # by why a run cannot be commanded
+    "missing": HTTPStatus.NOT_FOUND,
+    "ended": HTTPStatus.CONFLICT,
+    "full": HTTPStatus.CONFLICT,
+    "held": HTTPStatus.SERVICE_UNAVAILABLE,
+}
 
 
 _listed = scored("commands")
@@ -42,11 +48,7 @@ async def _command(request: Request) -> Response:
         action = action_of(document["action"])
     except ValueError as error:
         raise bad(str(error)) from None
-    status = await run_sync(_status, core, run)
-    if status is None:
-        raise missing(f"run = {run!r}: no such run")
-    if status != "running":
-        raise Problem(HTTPStatus.CONFLICT, f"run = {run!r}: has ended already ({status})")
+    await run_sync(_check, core, run)
     asked = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
     if not core.command(asked):
         detail = "too many commands wait for the recorder; this one was not sent"
@@ -54,6 +56,7 @@ async def _command(request: Request) -> Response:
     until = time.monotonic() + WITHIN_S
     while (row := await run_sync(_row, core, asked)) is None:
         if time.monotonic() > until:
+            await run_sync(_check, core, run)
             detail = f"no recorder confirmed it within {WITHIN_S:.0f} s: it may still be granted; GET this address says"
             raise Problem(HTTPStatus.GATEWAY_TIMEOUT, detail)
         await asyncio.sleep(POLL_S)
@@ -100,11 +103,13 @@ async def _document(request: Request) -> dict[str, Any]:
     return document
 
 
-def _status(core: MetricsCore, run: str) -> str | None:
-    rows = core.store.read("SELECT status FROM run WHERE run = ?", [run])
-    return str(rows[0]["status"]) if rows else None
+def _check(core: MetricsCore, run: str) -> None:
+    """Raises Problem if the run cannot be commanded."""
+    for row in answer(core.store, "refusal", {"run": run}):
+        status = _STATUS[row["fault"]]
+        raise Problem(status, row["reason"], {"Retry-After": "1"} if row["fault"] == "held" else None)
 
 
 def _row(core: MetricsCore, asked: Command) -> dict[str, Any] | None:
-    rows = answer(core.store, "commands", {"run": asked.run})
-    return next((row for row in rows if row["id"] == asked.id), None)
+    rows = answer(core.store, "command", {"run": asked.run, "id": asked.id})
+    return rows[0] if rows else None

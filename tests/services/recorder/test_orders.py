@@ -93,8 +93,8 @@ def test_orders_outlive_the_recorder_and_a_full_disk() -> None:
     assert [one.n for one in _orders(Recorder(journal, resume=True)._held())] == [1, 2]
 
 
-def test_what_is_over_is_said_no_more(sky: list[Message]) -> None:
-    """Of two limits the newer one stays; a track that is gone needs no order."""
+def test_what_is_over_is_said_no_more(sky: list[Message], caplog: pytest.LogCaptureFixture) -> None:
+    """Of two limits the newer one stays; a track that is gone needs no order. What is left ends with the run."""
     journal, core = _begun(sky_start("radar.search.beams=4", dwells=30))
     given: list[Action] = [
         HALF,
@@ -108,6 +108,7 @@ def test_what_is_over_is_said_no_more(sky: list[Message]) -> None:
     first = next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10)
     assert [order.n for order in first.orders] == [2]
     assert [over_k is not None for (over_k,) in _rows(journal, "over_k")] == [True, False, True, True]
+    assert "r ends, and with it its orders: power 0.7; " in caplog.text
 
 
 def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_twice() -> None:

@@ -83,6 +83,7 @@ def test_a_command_is_granted_and_listed_with_who_asked(metrics: MetricsCore) ->
     refused = _post(app, "r", json={"action": {"kind": "drop", "track": 7}})
     assert (refused.status_code, refused.json()["detail"]) == (409, "refused: there is no track 7")
     assert [one["state"] for one in _get(app, "/api/v1/runs/r/commands")] == ["pending", "refused"]
+    assert _get(app, "/api/v1/runs/r/commands?state=open") == [row]
 
 
 @pytest.mark.parametrize(
@@ -141,6 +142,32 @@ def test_a_command_that_nobody_confirms_is_said_to_be_open(
     monkeypatch.setattr(metrics, "command", lambda _: True)
     found = _post(create(metrics, ADMITTED, 0.1), "r", json=HALF)
     assert (found.status_code, found.json()["detail"][:38]) == (504, "no recorder confirmed it within 0 s: i")
+
+
+def test_a_run_that_is_held_or_has_all_its_commands_is_not_commanded(
+    metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = create(metrics, ADMITTED, 0.1)
+    metrics.store.held.add("r")
+    held = _post(app, "r", json=HALF)
+    assert (held.status_code, held.json()["detail"]) == (503, "run = 'r': is held, the recorder's disk is full")
+    metrics.store.held.clear()
+    monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 1)
+    assert _post(app, "r", json=HALF | {"at": 500}).status_code == 201
+    full = _post(app, "r", json=HALF)
+    assert (full.status_code, full.json()["detail"]) == (409, "run = 'r': has 1 commands, which is all it can have")
+
+
+def test_a_run_that_ends_meanwhile_is_said_to_have_ended(metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its recorder refuses without a word to who asked."""
+    monkeypatch.setattr("cogradar.services.web.views.commands.WITHIN_S", 0.0)
+    answers = iter([[], [{"fault": "ended", "reason": "run = 'r': has ended already (complete)"}]])
+    monkeypatch.setattr(
+        "cogradar.services.web.views.commands.answer",
+        lambda _, metric, __: next(answers) if metric == "refusal" else [],
+    )
+    found = _post(create(metrics, ADMITTED, 0.1), "r", json=HALF)
+    assert (found.status_code, found.json()["detail"]) == (409, "run = 'r': has ended already (complete)")
 
 
 def test_a_command_that_cannot_wait_is_refused(metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:

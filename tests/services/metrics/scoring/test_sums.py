@@ -8,6 +8,7 @@ import pytest
 
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.store import DERIVED, KEPT, Store, in_memory
+from cogradar.shared.scoring.columns import SCORE
 from tests.services.loop import smoke_start
 
 TARGETS = 2
@@ -98,3 +99,19 @@ def test_the_same_scores_give_the_same_bits(store: Store) -> None:
         _add(once, DERIVED, _rows(run, n))
     question = sums.query(dict.fromkeys(N, 0), None, None, None)
     assert once.read(*question) == store.read(*question)
+
+
+def test_an_outage_of_weeks_is_told_as_it_is() -> None:
+    """Of a run without an end, at 10 dwells a second: longer than 2^20 dwells."""
+    store, names = _begun(), [column.name for column in SCORE]
+    t, outage = names.index("t"), names.index("outage")
+    first, outages = 2**31 - 100, (2**30, 2**30 + 1, 0)
+    for lost in (outages, outages[:2]):
+        run = "short" if lost is outages else "gaps"
+        row = _rows(run, 1)[0]
+        for i, length in enumerate(lost):
+            found = [*row]
+            found[t], found[outage] = first + i, length
+            _add(store, DERIVED, [tuple(found)])
+    rows = store.read(*sums.query({"short": 0, "gaps": 1}, 1, None, None))
+    assert [(row["last_outage"], row["outage_longest"]) for row in rows] == [(0, 2**30 + 1), (2**30 + 1, 2**30 + 1)]

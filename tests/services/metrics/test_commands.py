@@ -1,0 +1,69 @@
+"""The list of commands: which are open, which one has an id, and what the newest waveform obeys."""
+
+import numpy as np
+import pytest
+
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.messages import Command, Scan, Waveform
+from cogradar.shared.protocol.orders import Action, Look, PowerLimit, SectorSearch
+from cogradar.shared.wire.codec import encode
+from tests.services.loop import play, scans, waveforms
+from tests.skies import sky_start
+
+START = sky_start(dwells=20)
+LOOK = Look(bearing_deg=1.0, dwells=5, share=0.1)
+BLANK = SectorSearch(from_deg=-30.0, to_deg=-10.0, search="blank")
+
+
+def _command(n: int, action: Action) -> Command:
+    return Command(run="r", id=f"{n:032x}", by="me", action=action)
+
+
+@pytest.fixture
+def store() -> Store:
+    journal = Journal(":memory:")
+    journal.add_run(START)
+    return Store(journal)
+
+
+def _states(store: Store, state: str | None = "open") -> dict[int, str]:
+    asked = {"run": "r"} | ({"state": state} if state else {})
+    return {row["n"]: row["state"] for row in answer(store, "commands", asked)}
+
+
+def test_of_many_commands_those_that_are_open_and_the_one_with_an_id_are_asked_for(store: Store) -> None:
+    journal = store.journal
+    for n in range(1, 1502):
+        journal.add_command(_command(n, LOOK), n, 5, "")
+        if n < 1500:
+            journal.end_order("r", n, 10)
+    journal.add_command(_command(1502, LOOK), 1502, None, "it is blanked")
+    assert _states(store) == {1500: "pending", 1501: "pending"}
+    assert len(_states(store, None)) == 1502
+    assert [row["n"] for row in answer(store, "command", {"run": "r", "id": f"{77:032x}"})] == [77]
+    assert answer(store, "command", {"run": "r", "id": f"{7777:032x}"}) == []
+    plan = journal.rows("EXPLAIN QUERY PLAN SELECT * FROM command WHERE run = 'r' AND id = 'x'")
+    assert "(run=? AND id=?)" in plan[0]["detail"]
+    journal.give_up_unfinished()
+    assert _states(store) == {}
+
+
+def test_an_order_awaits_the_allocator_until_a_waveform_obeys_it(store: Store) -> None:
+    journal = store.journal
+    said = play(START)
+    given: tuple[tuple[int, Action], ...] = ((3, BLANK), (4, PowerLimit(share=0.5)), (9, LOOK))
+    for n, (k, action) in enumerate(given, 1):
+        journal.add_command(_command(n, action), n, k, "")
+
+    def add(sent: Scan | Waveform) -> None:
+        journal.add_message("r", sent.k, "scan" if isinstance(sent, Scan) else "waveform", 0, encode(sent))
+
+    for scan in scans(said)[:6]:
+        add(scan)
+    old, new = (one for one in waveforms(said) if one.k in {3, 4})
+    add(old)
+    assert _states(store) == {1: "awaits the allocator", 2: "in force", 3: "pending"}
+    add(new.model_copy(update={"orders": np.array([1, 2], np.int32)}))
+    assert _states(store) == {1: "in force", 2: "in force", 3: "pending"}
