@@ -14,7 +14,7 @@ from cogradar.services.delivery.resend import MAX_DWELLS, ResendBuffer
 from cogradar.shared.protocol.admission import check_plan
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from cogradar.shared.protocol.orders import Order, dropped, in_force
+from cogradar.shared.protocol.orders import Order, in_force
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
 # When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
@@ -170,7 +170,7 @@ def _when_due(run: _Run, now_s: float) -> Sequence[Message]:
 
 def _answer(run: _Run, k: int) -> Sequence[Message]:
     """The waveform of dwell k, with earlier plans where its own are missing; none if too little is known."""
-    update = run.tracks.update(k, run.newest | run.plans[k], dropped(run.orders, k + 1))
+    update = run.tracks.update(k, run.newest | run.plans[k], run.orders)
     if update is None:
         return ()
     answer = run.tracks.sent(waveform(run.radar, run.strategy, update, in_force(run.orders, k + 1)))

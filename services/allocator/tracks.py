@@ -1,6 +1,6 @@
 """Which tracks a run has, dwell by dwell: those that were announced, or those that are found and lost."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from cogradar.services.allocator.last_sent_roster import LastSentRoster
 from cogradar.services.allocator.track_update import TrackUpdate, unchanged, updated
@@ -9,6 +9,7 @@ from cogradar.services.delivery.pacing import COASTED_S, TAKEOVER_S, Pacing
 from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.shared.protocol.admission import check_scan
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform, roster_of
+from cogradar.shared.protocol.orders import Order, dropped
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 
@@ -29,11 +30,10 @@ class AnnouncedTracks:
         """The tracks of a dwell, always the same."""
         return self._ids
 
-    def update(self, k: int, plans: Mapping[int, Plan], _dropped: Mapping[int, int]) -> TrackUpdate | None:
+    def update(self, k: int, plans: Mapping[int, Plan], _orders: Iterable[Order]) -> TrackUpdate | None:
         """The tracks after dwell k; None unless there is a plan of each track, and one of them is new.
 
-        plans   : of dwell k by track, or else the newest ones
-        dropped : tracks that end by an order: none does
+        plans : of dwell k by track, or else the newest ones
         """
         newest_k = max((plan.k for plan in plans.values()), default=0)
         if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > COASTED_S:
@@ -85,10 +85,10 @@ class FoundTracks:
         """The tracks of dwell k; None: not known yet."""
         return self._ids.get(k)
 
-    def update(self, k: int, plans: Mapping[int, Plan], dropped: Mapping[int, int]) -> TrackUpdate | None:
+    def update(self, k: int, plans: Mapping[int, Plan], orders: Iterable[Order]) -> TrackUpdate | None:
         """The tracks after dwell k; None without its scan, or without a plan that may still come.
 
-        dropped : tracks that end by an order, each with its number
+        orders : granted ones; some may end tracks
         """
         scan = self._scans.get(k)
         if scan is None:
@@ -99,9 +99,10 @@ class FoundTracks:
         known = [plans[m] for m in roster.ids.tolist() if m in plans]
         if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= TAKEOVER_S:
             return None
-        kept = [plan for plan in known if plan.target not in dropped]
+        dropping = dropped(orders, k + 1, dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True)))
+        kept = [plan for plan in known if plan.target not in dropping]
         new = [plan for plan in kept if self._pacing.seconds(k - plan.k) <= self._most_s]
-        ended = tuple(dropped[m] for m in roster.ids.tolist() if m in dropped)
+        ended = tuple(dropping[m] for m in roster.ids.tolist() if m in dropping)
         begins = self._last_sent.is_followed or not self._pacing.loses_dwells
         return updated(self._radar, scan, roster, new, begins=begins)._replace(dropped=ended)
 

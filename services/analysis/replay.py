@@ -76,7 +76,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     core.handle(_checkpoint(stored, first, 0))
     outcome, t = Replay(0), 0
-    given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (0, 0)
+    given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]
         inputs = [message for message in messages if isinstance(message, fed)]

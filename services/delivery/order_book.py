@@ -1,6 +1,6 @@
 """The orders of one run: which commands are granted, from which dwell on, and which orders are over."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from cogradar.shared.protocol.orders import (
     Order,
     PowerLimit,
     SectorSearch,
+    dropped,
     in_force,
     is_over,
     looks,
@@ -25,12 +26,16 @@ from cogradar.shared.protocol.orders import (
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 
+# Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a limit that is to take effect at once,
+# and for whatever is to take effect at once.
+FOR_END, FOR_LIMITS, FOR_NOW = 1, 15, 8
+
 
 @dataclass(frozen=True)
 class Moment:
     """How far a run is when something is asked of it."""
 
-    newest_k: int  # dwell of which something has come
+    newest_k: int  # dwell of which a scan has come
     acknowledged_k: int
     last_k: int  # dwell, if it goes on to its end
     tracks: Collection[int]  # that are there
@@ -43,33 +48,41 @@ class OrderBook:
         self._radar, self._strategy, self._pacing = radar, strategy, pacing
         self.orders = list(orders)
 
-    def grant(self, command: Command, n: int, at: Moment) -> Order:
-        """The order with this number. Raises Refused, whose text is for those who asked."""
-        k = max(self._pacing.first_ordered(at.newest_k, at.acknowledged_k), command.at)
-        order = Order(n=n, k=k, action=command.action)
-        if k > at.last_k:
-            raise Refused(f"it would take effect at dwell {k}; the run ends with dwell {at.last_k}")
-        if len(self.orders) >= MAX_ORDERS:
-            raise Refused(f"{MAX_ORDERS} orders are in force or pending, which is all there can be at a time")
-        self._check(order, at.tracks, is_later=command.at > 0)
-        self.orders.append(order)
-        return order
+    def grant(self, command: Command, n: int, at: Moment) -> tuple[Order, list[Order]]:
+        """The order with this number, and those that it replaces before they have shaped a dwell.
 
-    def end(self, k: int, tracks: Collection[int]) -> list[int]:
+        Raises Refused, whose text is for those who asked.
+        """
+        first_k = self._pacing.first_ordered(at.newest_k, at.acknowledged_k)
+        order = Order(n=n, k=max(first_k, command.at), action=command.action)
+        last_k = min([at.last_k, *(other.k - 1 for other in self.orders if isinstance(other.action, EndRun))])
+        if order.k > last_k:
+            raise Refused(f"it would take effect at dwell {order.k}; the run ends with dwell {last_k}")
+        replaced = [other for other in self.orders if _is_replaced(other, order)]
+        kept = [other for other in self.orders if other not in replaced]
+        most = MAX_ORDERS - _kept_free(order, is_now=order.k == first_k)
+        if len(kept) >= most:
+            raise Refused(f"{len(kept)} orders are in force or pending; this one must be among the first {most}")
+        self._check(order, at.tracks, is_later=command.at > 0)
+        self.orders = [*kept, order]
+        return order, replaced
+
+    def end(self, k: int, known_k: int, born_ks: Mapping[int, int]) -> list[int]:
         """Drop the orders that shape no dwell from k on; their numbers.
 
-        tracks : of dwell k - 1
+        known_k : the newest dwell before k whose tracks are known; -1: none is
+        born_ks : dwell with whose scan each of its tracks began
         """
-        over = [order for order in self.orders if order.k < k and self._is_over(order, k, tracks)]
+        over = [order for order in self.orders if order.k < k and self._is_over(order, k, known_k, born_ks)]
         self.orders = [order for order in self.orders if order not in over]
         return [order.n for order in over]
 
-    def _is_over(self, order: Order, k: int, tracks: Collection[int]) -> bool:
+    def _is_over(self, order: Order, k: int, known_k: int, born_ks: Mapping[int, int]) -> bool:
         match order.action:
             case EndRun():
                 return False
             case DropTrack():
-                return order.action.track not in tracks
+                return order.k <= known_k and not dropped([order], k, born_ks)
             case _:
                 return is_over(order, self.orders, k)
 
@@ -107,3 +120,26 @@ class OrderBook:
                 raise Refused(f"in dwell {k} this direction is blanked")
             if (share := sum(look.share for look in looks(there))) > MAX_LOOKS + 1e-9:
                 raise Refused(f"in dwell {k}, looks would take {share:.2f} of the power, at most {MAX_LOOKS:g} may be")
+
+
+def _is_replaced(pending: Order, new: Order) -> bool:
+    """Whether an order shapes no dwell because of a new one: nothing follows the end of a run."""
+    match new.action:
+        case EndRun():
+            return pending.k >= new.k
+        case PowerLimit():
+            return pending.k == new.k and isinstance(pending.action, PowerLimit)
+        case SectorSearch():
+            other = pending.action
+            return pending.k == new.k and isinstance(other, SectorSearch) and new.action.contains(other)
+        case _:
+            return False
+
+
+def _kept_free(new: Order, *, is_now: bool) -> int:
+    """How many of MAX_ORDERS must be left for what is more urgent than this order."""
+    if isinstance(new.action, EndRun):
+        return 0
+    if is_now and isinstance(new.action, PowerLimit):
+        return FOR_END
+    return FOR_END + FOR_LIMITS + (0 if is_now else FOR_NOW)

@@ -178,7 +178,7 @@ class RecorderCore:
             raise Refused(f"{count} commands of this run are in the journal, which is all there can be")
         answers: list[Message] = [*self._commit()]
         try:
-            order = run.grant(command, last + 1)
+            order, replaced = run.grant(command, last + 1)
         except Refused as refusal:
             log.warning("%s: %s, by %s, is refused: %s", command.run, command.action.kind, command.by, refusal)
             self._journal.add_command(command, last + 1, None, str(refusal))
@@ -186,6 +186,8 @@ class RecorderCore:
             return answers
         log.info("%s: %r by %s from dwell %d on", command.run, command.action, command.by, order.k)
         self._journal.add_command(command, order.n, order.k, "")
+        for other in replaced:
+            self._journal.end_order(command.run, other.n, other.k)
         self._journal.commit()
         return [*answers, *run.checkpoint()]
 
@@ -267,7 +269,7 @@ class RecorderCore:
             if run.tracks is not None:  # nobody goes on from those that have ended
                 self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
             self._spans[run.start.run].cut(self._journal, run)
-            for n in run.orders.end(run.k, run.tracks or ()):
+            for n in run.orders.end(run.k, run.known_k, run.born_ks):
                 self._journal.end_order(run.start.run, n, run.k)
         self._journal.commit()
         self._uncommitted_ticks = 0

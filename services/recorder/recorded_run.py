@@ -66,7 +66,8 @@ class RecordedRun:
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and those of the last checkpoint
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
-        self.born_ks: Mapping[int, int] = {}  # ... and when they began
+        self.born_ks: Mapping[int, int] = {}  # ... when they began,
+        self.known_k = -1  # ... and its dwell
         self.end: RunEnd | None = None
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
@@ -127,8 +128,8 @@ class RecordedRun:
                 dwell.plans.add(message.target)
                 self._overdue_plans.hear_plan(message.k, message.target)
 
-    def grant(self, command: Command, n: int) -> Order:
-        """The order that a command becomes. Raises Refused."""
+    def grant(self, command: Command, n: int) -> tuple[Order, list[Order]]:
+        """The order that a command becomes, and those that it replaces. Raises Refused."""
         newest = max((k for k, dwell in self._dwells.items() if dwell.t is not None), default=None)
         tracks = self._dwells[newest].tracks if newest is not None else self.tracks or frozenset()
         left = (
@@ -136,7 +137,7 @@ class RecordedRun:
             - self.t
             + (0 if self._radar.is_unknown or self.t else 2 * self._radar.acquisition.max_scans)
         )
-        at = Moment(max(self._dwells, default=self.k), self.acknowledged[0], self.k + left - 1, tracks)
+        at = Moment(self.k if newest is None else newest, self.acknowledged[0], self.k + left - 1, tracks)
         return self.orders.grant(command, n, at)
 
     def validate(self, journalled: tuple[int, ...]) -> None:
@@ -160,7 +161,7 @@ class RecordedRun:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
         if dwell is not None and dwell.t is not None:
-            self.t, self.tracks, self.born_ks = dwell.t, dwell.tracks, dwell.born_ks
+            self.t, self.tracks, self.born_ks, self.known_k = dwell.t, dwell.tracks, dwell.born_ks, self.k
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)

@@ -7,7 +7,7 @@ a dwell is a function of the orders and of that dwell alone: orders that are ove
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -186,10 +186,21 @@ def looks(orders: Iterable[Order]) -> list[Look]:
     return [look for look, n in zip(asked, times.tolist(), strict=True) if n]
 
 
-def dropped(orders: Iterable[Order], k: int) -> dict[int, int]:
-    """Tracks that end before dwell k, each with the number of its order."""
-    found = [order for order in orders if order.k <= k]
-    return {order.action.track: order.n for order in found if isinstance(order.action, DropTrack)}
+def dropped(orders: Iterable[Order], k: int, born_ks: Mapping[int, int]) -> dict[int, int]:
+    """Tracks that end before dwell k, each with the number of its order.
+
+    An order ends only a track that is in the roster of the dwell before its own. In lockstep it therefore acts in its
+    own dwell or never, whoever still knows it later. Where dwells may be lost it acts in the first one that is made.
+
+    born_ks : dwell with whose scan each track began, of the tracks in the roster of dwell k - 1
+    """
+    return {
+        action.track: order.n
+        for order in orders
+        if isinstance(action := order.action, DropTrack)
+        and order.k <= k
+        and born_ks.get(action.track, order.k) + 1 < order.k
+    }
 
 
 def ends(orders: Iterable[Order], k: int) -> bool:

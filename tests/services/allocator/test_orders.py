@@ -126,6 +126,16 @@ def test_a_track_that_is_dropped_is_gone_and_its_target_may_begin_another() -> N
     assert max(_roster(scans(said)[-1]).ids.tolist()) > max(ids)
 
 
+def test_a_track_that_begins_after_the_dwell_of_its_drop_goes_on() -> None:
+    """Else it would depend on who still knows the order."""
+    start = sky_start(BEAMS, dwells=20)
+    undisturbed = played(start)
+    roster = _roster(scans(undisturbed)[-1])
+    later = roster.ids[roster.born_k >= K - 1].tolist()
+    assert later
+    assert waveforms(_played(start, *(DropTrack(track=m) for m in later))) == waveforms(undisturbed)
+
+
 def test_a_run_ends_before_its_dwell() -> None:
     said = _played(smoke_start(dwells=40), EndRun())
     (end,) = [one for one in said if isinstance(one, RunEnd)]

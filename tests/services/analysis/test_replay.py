@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cogradar.services.analysis import replay as module
 from cogradar.services.analysis.replay import CORES, Difference, Replay, replay
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
+from cogradar.services.delivery import pacing
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
-from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform
+from cogradar.shared.protocol.messages import Command, Message, Plan, RunStart, Waveform
+from cogradar.shared.protocol.orders import DropTrack
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode
@@ -86,6 +89,20 @@ def test_a_run_replays_clean(to: str, each: int, file: Path, store: Store) -> No
     done = CliRunner().invoke(app, ["replay", "--store", str(file), "--to", to])
     assert done.exit_code == 0, done.stderr
     assert f"{each * n_dwell} {'plan' if to == 'planner' else 'waveform'}s agree bit for bit" in done.stdout
+
+
+def test_a_run_that_was_cut_and_commanded_replays_from_its_first_dwell(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An allocator that is told of an order answers no dwell that is far from the acknowledged one."""
+    name, n_dwell = _stored(store).name, _k(store)
+    drop = Command(run=name, id="0" * 32, by="operator", action=DropTrack(track=0))  # changes nothing here
+    store.journal.add_command(drop, 1, AT + 1, "")
+    store.journal.cut(name, AT)
+    store.journal.commit()
+    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AT // 2)
+    monkeypatch.setattr(module, "ACKNOWLEDGE_EVERY", 8)
+    assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - AT)
 
 
 def test_a_plan_that_was_altered_is_found_at_its_dwell(file: Path, store: Store) -> None:

@@ -9,8 +9,9 @@ from cogradar.services.delivery import pacing
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart, Scan
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart, Scan, Waveform, roster_of
 from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, smoke_start
@@ -79,6 +80,8 @@ def test_in_real_time_it_takes_effect_half_a_second_after_the_newest_dwell(smoke
     for message in smoke:
         if isinstance(message, Scan) and message.k < 5:
             core.handle(message)
+    far = next(message for message in smoke if isinstance(message, Waveform)).model_copy(update={"k": 300})
+    core.handle(far)  # a fault of its sender: no reason to wait
     assert _orders(core.handle(_command(1, HALF)))[0].k == 4 + 1 + 5
 
 
@@ -109,6 +112,49 @@ def test_what_is_over_is_said_no_more(sky: list[Message], caplog: pytest.LogCapt
     assert [order.n for order in first.orders] == [2]
     assert [over_k is not None for (over_k,) in _rows(journal, "over_k")] == [True, False, True, True]
     assert "r ends, and with it its orders: power 0.7; " in caplog.text
+
+
+def test_an_order_to_drop_a_track_is_over_after_its_dwell_though_the_track_begins_later(sky: list[Message]) -> None:
+    roster = roster_of(next(one for one in sky if isinstance(one, Scan) and one.k == 15))
+    later = int(roster.ids[roster.born_k >= 5][0])
+    _, core = _begun(sky_start("radar.search.beams=4", dwells=30))
+    core.handle(_command(1, DropTrack(track=later), at=6))
+    answers = [answer for message in sky for answer in core.handle(message)]
+    assert [order.n for order in next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10).orders] == []
+
+
+def test_no_drop_is_over_while_the_tracks_are_not_known() -> None:
+    """In real time, with a recorder that has come back and has no scan of its first dwell."""
+    start = sky_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
+    run = RecordedRun(start, 50, 50, [Order(n=1, k=49, action=DropTrack(track=3))], resumed=True)
+    run.complete()
+    assert run.orders.end(run.k, run.known_k, run.born_ks) == []
+
+
+def test_nothing_is_to_take_effect_after_the_end_and_what_was_is_replaced_by_it() -> None:
+    journal, core = _begun(smoke_start(dwells=DWELLS))
+    given: list[tuple[Action, int]] = [(HALF, 100), (HALF, 99), (EndRun(), 100), (HALF, 100), (EndRun(), 101)]
+    for n, (action, at) in enumerate(given, 1):
+        core.handle(_command(n, action, at))
+    assert [(k, over_k) for k, over_k in _rows(journal, "k", "over_k")] == [
+        *((100, 100), (99, None), (100, None), (None, None), (None, None))
+    ]
+    assert "it would take effect at dwell 100; the run ends with dwell 99" in _rows(journal, "reason")[3][0]
+    assert [one.n for one in _orders(core.handle(_command(6, EndRun(), at=50)))] == [6]
+
+
+def test_orders_that_wait_lock_out_neither_a_sector_nor_a_limit_nor_the_end() -> None:
+    journal, core = _begun(sky_start(dwells=DWELLS))
+    for n in range(1, 65):
+        core.handle(_command(n, PowerLimit(share=n / 100), at=300 - n))
+    last = max(n for n, k in _rows(journal, "n", "k") if k is not None)
+    assert 32 <= last < 64
+    for n in range(65, 85):  # the newest of a dwell counts
+        assert HALF in [one.action for one in _orders(core.handle(_command(n, HALF)))]
+        assert BLANK in [one.action for one in _orders(core.handle(_command(n + 100, BLANK)))]
+    said = _orders(core.handle(_command(200, EndRun(), at=390)))
+    assert said[-1].action == EndRun()
+    assert len(said) == last + 3
 
 
 def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_twice() -> None:
@@ -146,7 +192,11 @@ def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_t
             "looks would take 0.60 of",
         ),
         (sky_start(dwells=DWELLS), [DropTrack(track=3)], "there is no track 4"),
-        (sky_start(dwells=DWELLS), 65 * [HALF], "64 orders are in force or pending"),
+        (
+            sky_start(dwells=DWELLS),
+            49 * [Look(bearing_deg=20, dwells=9, share=0.01)],
+            "48 orders are in force or pending; this one must be among the first 48",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_the_journal_says_why(

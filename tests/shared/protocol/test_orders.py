@@ -92,8 +92,10 @@ def test_no_beam_radiates_its_main_lobe_into_a_blanked_sector(sector: tuple[floa
 
 
 def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
+    """A track only if it is in the roster of the dwell before: one that begins later is none of the order's."""
     orders = [Order(n=3, k=7, action=DropTrack(track=4)), Order(n=4, k=9, action=EndRun())]
-    assert [dropped(orders, k) for k in (6, 7)] == [{}, {4: 3}]
+    assert [dropped(orders, k, {4: 5}) for k in (6, 7, 8)] == [{}, {4: 3}, {4: 3}]
+    assert [dropped(orders, k, {3: 0, 4: 6}) for k in (7, 8)] == [{}, {}]
     assert [ends(orders, k) for k in (8, 9)] == [False, True]
     assert in_force(orders, 20) == []
 
