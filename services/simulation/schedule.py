@@ -175,7 +175,7 @@ class Schedule:
     def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
         if self.sky == "unknown":
-            actions += [DropTrack(track=int(m)) for m in range(3)]
+            actions += [DropTrack(track=m) for m in range(6)]  # some begin after the dwell of the order
             actions += [SectorSearch(from_deg=-90, to_deg=0, search="blank"), Look(bearing_deg=20, dwells=2, share=0.3)]
             actions += [SectorSearch(from_deg=-20, to_deg=90, search="double")]
             actions += [SectorSearch(from_deg=-90, to_deg=90, search="normal")]
