@@ -38,19 +38,25 @@ async def _serve(kind: str, address: str, run: str, pipe: Connection) -> None:
 
 
 async def _ask(host: str, port: int, path: str, delay_s: float, served: Counter[str]) -> None:
-    """One question each second over a connection that stays open."""
+    """One question each second over a connection that stays open, until the service ends one that was idle for long."""
     await asyncio.sleep(delay_s)
-    reader, writer = await asyncio.open_connection(host, port)
     loop = asyncio.get_running_loop()
     due = loop.time()
     while True:
-        writer.write(f"GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
-        head = await reader.readuntil(b"\r\n\r\n")
-        length = _LENGTH.search(head)
-        await reader.readexactly(int(length[1]) if length else 0)
-        served["answers"] += head.startswith(b"HTTP/1.1 200")
-        due = max(due + PERIOD_S, loop.time())
-        await asyncio.sleep(due - loop.time())
+        reader, writer = await asyncio.open_connection(host, port)
+        try:
+            while True:
+                writer.write(f"GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+                head = await reader.readuntil(b"\r\n\r\n")
+                length = _LENGTH.search(head)
+                await reader.readexactly(int(length[1]) if length else 0)
+                served["answers"] += head.startswith(b"HTTP/1.1 200")
+                due = max(due + PERIOD_S, loop.time())
+                await asyncio.sleep(due - loop.time())
+        except (asyncio.IncompleteReadError, ConnectionError):
+            await asyncio.sleep(RETRY_S)
+        finally:
+            writer.close()
 
 
 async def _listen(host: str, port: int, run: str, served: Counter[str]) -> None:
