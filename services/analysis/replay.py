@@ -2,7 +2,7 @@
 
 Cores get the clock of lockstep, whatever the run had. Of a run in real time this leaves out what depended on the clock:
 searches that a deadline cut short (of their plans, the bin and the number of simulations), waveforms of dwells without
-all plans in time, and everything after a dwell whose scan is missing.
+all plans in time, those after a scan of an older roster, and everything after a dwell whose scan is missing.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +19,7 @@ from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
 from cogradar.shared.protocol.orders import DropTrack, Order, in_force
+from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.codec import decode
@@ -77,6 +78,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     core.handle(_checkpoint(stored, first, 0))
     outcome, t = Replay(0), 0
     given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
+    before: Sequence[Message] = ()  # recorded answers of the dwell before
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]
         inputs = [message for message in messages if isinstance(message, fed)]
@@ -91,7 +93,10 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             core.handle(_checkpoint(stored, *acknowledged, told))
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
         recorded = [message for message in messages if isinstance(message, compared)]
-        outcome = _compared(outcome, recorded, answers, (k, t), by_clock=by_clock)
+        # In real time the allocator goes on from the roster that it sent last, where a scan has an older one.
+        is_stale = by_clock and to == "allocator" and k > first and _rosters(inputs) != _rosters(before)
+        outcome = _compared(outcome, recorded, [] if is_stale else answers, (k, t), by_clock=by_clock)
+        before = recorded
         report(n_fed + 1)
         if outcome.difference is not None:
             return outcome
@@ -116,6 +121,11 @@ def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_c
     return [*in_force(given, k), *dropping]
 
 
+def _rosters(messages: Sequence[Message]) -> list[Roster]:
+    """The rosters of scans and waveforms, of an unknown number of tracks."""
+    return [one.roster for one in messages if isinstance(one, Scan | Waveform) and one.roster is not None]
+
+
 def _has_plans(inputs: Sequence[Message]) -> bool:
     """Whether the scan of a dwell and the plans of all its tracks are among these messages."""
     planned = {message.target for message in inputs if isinstance(message, Plan)}
@@ -131,7 +141,9 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
     if outcome.cut_short:
         notes.append(f"{outcome.cut_short} searches were cut short by the clock: their bin and n_sim were not compared")
     if outcome.late:
-        notes.append(f"{outcome.late} waveforms of dwells with late plans were not compared")
+        notes.append(
+            f"{outcome.late} waveforms were not compared: their plans, or the waveforms before them, were late"
+        )
     if outcome.gap is not None:
         notes.append(f"the scan of dwell {outcome.gap} is not stored: nothing from there on was compared")
     if (found := outcome.difference) is None:

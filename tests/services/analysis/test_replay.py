@@ -21,7 +21,7 @@ from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
-from cogradar.shared.protocol.messages import Command, Message, Plan, RunStart, Waveform
+from cogradar.shared.protocol.messages import Command, Message, Plan, RunStart, Scan, Waveform
 from cogradar.shared.protocol.orders import DropTrack
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -129,6 +129,24 @@ def test_a_waveform_that_was_altered_is_found_at_its_dwell(store: Store) -> None
     assert outcome.difference is not None
     assert (outcome.agreed, outcome.difference.k, outcome.difference.track) == (AT, AT, None)
     assert (outcome.difference.field, outcome.difference.recorded) == ("factor.shape", "(16, 1) of complex64")
+
+
+def test_a_waveform_after_a_scan_of_an_older_roster_is_not_compared_in_real_time(tmp_path: Path) -> None:
+    """The allocator went on from the roster that it had sent meanwhile, which a replay in lockstep has not."""
+    store = Store(Journal(str(tmp_path / "runs.db")))
+    sky = load("smoke", ["radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2"])
+    in_process.play(RunStart.of(sky, Strategy.POWER_AWARE, 1, AT + 10), store=store)
+    scan = _message(store, "scan", 0)
+    assert isinstance(scan, Scan)
+    assert scan.roster is not None
+    older = scan.roster.model_copy(update={"next_search": scan.roster.next_search - 2})
+    _change(store, "scan", 0, roster=older)
+    assert replay(_stored(store), "allocator").difference is not None  # in lockstep it is one
+    store.journal.write("UPDATE run SET rate_hz = 5.0")
+    outcome = replay(_stored(store), "allocator")
+    assert (outcome.difference, outcome.late) == (None, 1)
+    assert outcome.agreed == _k(store) - 1
+    store.close()
 
 
 def test_another_planner_is_found(store: Store) -> None:
