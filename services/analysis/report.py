@@ -24,6 +24,7 @@ from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
+from cogradar.services.runs.run import BLIND
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scoring.errors import FLIGHTS, NEES_99, bootstrap_interval, lost, nees_in_band, wilson_interval
 
@@ -40,8 +41,7 @@ _OUTAGE = len(MEANS + ROOTS)  # its place in a sample
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
 PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
-_BLIND = ("blind_cells", "blind_dwells", "blind_share")
-PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks", *_BLIND)
+PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks", *BLIND)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from cogradar.services.metrics.answers import METRICS, answer
 from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.shared.protocol.messages import Command
+from cogradar.shared.protocol.orders import EndRun
 from cogradar.shared.scoring.figures import Discovery
 from tests.services.loop import play, smoke_start
 from tests.services.tables import WIDTHS
@@ -35,6 +37,7 @@ def store() -> Store:
     for seed, run in enumerate(("smoke-0123456789ab", "another-one")):
         for message in play(smoke_start(dwells=30, run=run, seed=seed)):
             core.handle(message)
+        store.journal.add_command(Command(run=run, id=f"{seed:032}", by="tower", action=EndRun()), 1, 250, "")
     return store
 
 

@@ -46,7 +46,7 @@ def test_an_acquisition_of_too_weak_echoes_says_so(caplog: pytest.LogCaptureFixt
     nearest = f"largest statistic {best.statistic.max():.1f} at "
     assert nearest in end.reason
     assert "degrees, a detection takes " in end.reason
-    assert end.reason.endswith("; nothing was measured in 2 scans: no packet")
+    assert end.reason.endswith("; nothing was measured in 2 dwells: no packet")
     names = ("a", "b")
     lines = _told(said, start, names, caplog)
     assert len(lines) == int(120.0 / TELL_S)  # of the planner alone that owns the first track
