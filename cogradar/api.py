@@ -128,7 +128,7 @@ class Runs:
 
         at : not before this dwell, counted from 0
 
-        BadInput if it is refused, RunFailed if nobody confirms.
+        BadInput if it is refused, RunFailed if no answer comes.
         """
         from cogradar.services.runs.command import command_on
 

@@ -30,7 +30,7 @@ class LastSentRoster:
     k: int = NEVER  # dwell of its waveform
     planned: set[int] = field(default_factory=set)  # tracks of which a plan has come
     is_followed: bool = False  # a scan carried a roster that was sent here, or no allocator came before this one
-    _next_id: int = 0  # beyond those of all rosters that were seen
+    _next_id: int = 0  # above each next_id that was seen
     _sent: deque[tuple[int, int, bytes]] = field(default_factory=lambda: deque(maxlen=SENT))
     _births: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # of the first one without, and those after
 
@@ -61,7 +61,7 @@ class LastSentRoster:
 
 
 def _key(roster: Roster) -> tuple[int, int, bytes]:
-    """What tells a roster from those of other dwells, and of another allocator unless it would have sent the same."""
+    """Identifies a roster: another dwell has another key, and so has another allocator unless it sent the same."""
     return roster.next_search, roster.next_id, roster.ids.tobytes()
 
 

@@ -1,6 +1,7 @@
 """Scores of dwells whose plan of a track did not come: its estimate flies on, and is less sure."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from tests.services.loop import play
 LOST = range(20, 26)
 
 
-def _scores(start: RunStart, sent: Iterable[Message]) -> dict[int, list[dict[str, object]]]:
+def _scores(start: RunStart, sent: Iterable[Message]) -> dict[int, list[dict[str, Any]]]:
     """Rows by dwell k."""
     dwells: dict[int, list[tuple[str, dict[str, object]]]] = {}
     for message in sent:
@@ -38,7 +39,7 @@ def test_an_estimate_without_a_plan_flies_on() -> None:
     for n, k in enumerate(LOST, start=1):
         row = next(row for row in rows[k] if row["track"] == track + 1)
         for axis in "xy":
-            flown = before[f"{axis}_hat"] + n * dt * before[f"v{axis}_hat"]  # type: ignore[operator] # numbers
+            flown = before[f"{axis}_hat"] + n * dt * before[f"v{axis}_hat"]
             assert row[f"{axis}_hat"] == pytest.approx(flown, rel=1e-9)
         assert np.isfinite(float(str(row["nees"])))
     assert rows[LOST[-1] + 1] == whole[LOST[-1] + 1]  # a plan is there again
