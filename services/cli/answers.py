@@ -273,6 +273,9 @@ def feed(
     ] = 10.0,
     sac: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the area of the system.")] = 0,
     sic: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the system.")] = 1,
+    categories: Annotated[
+        str, typer.Option(metavar="A,B", help="ASTERIX: 034 the radar, 048 its plots and tracks, 062 tracks.")
+    ] = "034,062",
 ) -> None:
     """Tell other systems the tracks of a run: maps, displays, centres.
 
@@ -283,6 +286,7 @@ def feed(
     """
     from cogradar.services.feed import feed as feeding
     from cogradar.services.feed.asterix import Source
+    from cogradar.services.feed.picture import Wanted
     from cogradar.services.feed.source import live, recorded
     from cogradar.services.feed.transport import transport
     from cogradar.services.metrics import client as asking
@@ -291,12 +295,13 @@ def feed(
         kind, check, notify = feeding.kind_of(to), partial(check_stop, stop), partial(say, console=err)
         way = transport(where, has_files=kind.has_files, is_stream=kind.is_stream, notify=notify)
         try:
-            form = kind.make(feeding.Options(Source(sac, sic), stale))
+            form = kind.make(feeding.Options(Source(sac, sic), categories, stale))
+            wanted = Wanted(tentative, plots=form.wants_plots)
             if store is None:
-                n = feeding.feed(live(connect, run_, check, notify, tentative=tentative), form, way, rate)
+                n = feeding.feed(live(connect, run_, check, notify, wanted), form, way, rate)
             else:
                 with asking.source(store, connect) as ask:
-                    pictures = recorded(ask, run_, speed, check, tentative=tentative)
+                    pictures = recorded(ask, run_, speed, check, wanted)
                     n = feeding.feed(pictures, form, way, rate if speed else 0.0)
         finally:
             way.close()

@@ -23,6 +23,8 @@ LEAST_S = 0.001  # from one file to the next, or a page does not read it
 class AircraftJson:
     """Both files, as far as they change."""
 
+    wants_plots = False
+
     def __init__(self) -> None:
         self._told: Any = None  # site of the receiver's file
         self._n = 0  # pictures, which stand for the messages of a receiver

@@ -1,7 +1,8 @@
-"""ASTERIX, EUROCONTROL's format of surveillance data: category 062 (ed. 1.20, tracks) and 034 (ed. 1.29, the radar).
+"""ASTERIX, EUROCONTROL's format of surveillance data: category 034 (ed. 1.29, the radar), 048 (ed. 1.32, plots and
+tracks of a radar) and 062 (ed. 1.20, tracks of a system).
 
-Records have one layout, so that NumPy packs those of a picture together: 1 000 tracks in less than 1 ms. The library
-`libasterix` takes 0.9 ms for each; the tests read with it what is written here.
+Records of a kind have one layout, so that NumPy packs those of a picture together: 1 000 tracks in less than 1 ms. The
+library `libasterix` takes 0.9 ms for each; the tests read with it what is written here.
 """
 
 from collections import deque
@@ -11,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.services.errors import BadInput
 from cogradar.services.feed.output import Output
 from cogradar.services.feed.picture import Picture, Track
 
@@ -19,6 +21,10 @@ PAUSE_S = 60.0  # of UTC, before the number of a track that has ended is another
 MAX_BYTES = 1400  # of a datagram: it fits into a frame of Ethernet
 DAY_S = 86_400
 DEGREE_62, DEGREE_34 = (1 << 25) / 180.0, (1 << 23) / 180.0  # units of a latitude or longitude in each category
+RADAR, REPORTS, TRACKS = 34, 48, 62  # categories
+DEFAULT = f"{RADAR:03},{TRACKS:03}"
+NM_KM, MOST_NM = 1.852, 256.0  # nautical mile; category 048 tells nothing beyond this distance
+TURN_48 = (1 << 16) / 360.0  # units of an azimuth
 
 # Of a record, big-endian, in the order of the categories' tables; the items that are there, by bits (FSPEC).
 _TRACK = np.dtype(
@@ -60,12 +66,46 @@ _RADAR = np.dtype(
         ("position", "u1", (2, 3)),  # ... latitude, longitude
     ]
 )
-_FSPEC = {_TRACK: (0xBF, 0x0F, 0x01, 0x04), _END: (0xB1, 0x0C), _RADAR: (0xE9, 0x10)}
+_POLAR = [
+    ("source", "u1", 2),  # I048/010
+    ("time", "u1", 3),  # I048/140, 1/128 s since midnight
+    ("report", "u1"),  # I048/020
+]
+_PLOT = np.dtype(
+    [
+        ("fspec", "u1"),
+        *_POLAR,
+        ("measured", ">u2", 2),  # I048/040, distance in 1/256 NM and azimuth
+    ]
+)
+_PLOT_TRACK = np.dtype(
+    [
+        ("fspec", "u1", 2),
+        *_POLAR,
+        ("position", ">u2", 2),  # I048/040 of a report without a detection: the estimate
+        ("number", ">u2"),  # I048/161
+        ("place", ">i2", 2),  # I048/042, to the east and to the north, 1/128 NM
+        ("velocity", ">u2", 2),  # I048/200, 2^-14 NM/s and course
+        ("status", "u1"),  # I048/170
+    ]
+)
+_PLOT_END = np.dtype([("fspec", "u1", 2), *_POLAR, ("number", ">u2"), ("status", "u1", 2)])
+_FSPEC = {
+    _TRACK: (0xBF, 0x0F, 0x01, 0x04),
+    _END: (0xB1, 0x0C),
+    _RADAR: (0xE9, 0x10),
+    _PLOT: (0xF0,),
+    _PLOT_TRACK: (0xF1, 0x1E),
+    _PLOT_END: (0xE1, 0x12),
+}
 _NORTH_MARKER = 1  # the message by which a radar says that a cycle begins
 # Octets of I062/080, with the bit that another one follows.
 _MORE, _MONOSENSOR, _TENTATIVE = 0x01, 0x80, 0x02
 _SIMULATED, _LAST, _FIRST = 0x80, 0x40, 0x20
 _COASTED = 0x80
+# Of I048/020: a primary radar's detection, or none, and whether that is simulated; of I048/170.
+_PRIMARY, _SIMULATED_48 = 0x20, 0x10
+_PRIMARY_TRACK, _CLIMB_UNKNOWN, _TENTATIVE_48, _END_48 = 0x20, 0x06, 0x80, 0x80
 
 
 class Source(NamedTuple):
@@ -104,23 +144,45 @@ class Numbers:
         return list(self._of)
 
 
-class Asterix:
-    """For each picture a datagram of category 034, then category 062 with its tracks and the tracks that ended."""
+def categories_of(text: str) -> frozenset[int]:
+    """Categories that are named, as `034,062`. Raises BadInput."""
+    known = {f"{category:03}": category for category in (RADAR, REPORTS, TRACKS)}
+    names = text.split(",")
+    if not known.keys() >= set(names):
+        raise BadInput(f"--categories {text}: must be some of {', '.join(known)}, as in {DEFAULT}")
+    return frozenset(known[name] for name in names)
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
+
+class Asterix:
+    """For each picture the radar (034), the tracks that ended and the tracks (062), its detections and tracks (048)."""
+
+    def __init__(self, source: Source, categories: frozenset[int] = frozenset((RADAR, TRACKS))) -> None:
+        self._source, self._categories = source, categories
+        self.wants_plots = REPORTS in categories
         self._numbers = Numbers()
         self._run = ""
 
     def encode(self, picture: Picture) -> list[Output]:
         """Data blocks, each a datagram."""
-        found = [_block(34, self._radar(picture))]
         shown = {track.number for track in picture.tracks}
         ended = [number for number in self._numbers.tracks if number not in shown or picture.run != self._run]
         self._run = picture.run
-        found += _blocks(self._ends([self._numbers.end(number, picture.utc_s) for number in ended], picture))
+        ends = [self._numbers.end(number, picture.utc_s) for number in ended]
         given = [(track, self._numbers.give(track.number, picture.utc_s)) for track in picture.tracks]
-        found += _blocks(self._tracks([(track, *number) for track, number in given if number is not None], picture))
+        tracks = [(track, *number) for track, number in given if number is not None]
+        found = list[Output]()
+        if RADAR in self._categories:
+            found += _blocks(RADAR, self._radar(picture))
+        if TRACKS in self._categories:
+            found += _blocks(TRACKS, self._ends(ends, picture)) + _blocks(TRACKS, self._tracks(tracks, picture))
+        if REPORTS in self._categories:
+            near = [
+                (track, number)
+                for track, number, _ in tracks
+                if _is_near(float(np.hypot(track.east_km, track.north_km)))
+            ]
+            for records in self._plots(picture), self._plot_ends(ends, picture), self._plot_tracks(near, picture):
+                found += _blocks(REPORTS, records)
         return found
 
     def _begun(self, n: int, kind: "np.dtype[np.void]", utc_s: float) -> NDArray[np.void]:
@@ -168,11 +230,57 @@ class Asterix:
         records["velocity_sigmas"] = _within(sigmas[:, 1::2] * 4.0, np.uint8)
         return records
 
+    def _reports(self, n: int, kind: "np.dtype[np.void]", picture: Picture) -> NDArray[np.void]:
+        records = self._begun(n, kind, picture.utc_s)
+        records["report"] = _SIMULATED_48 if picture.is_simulated else 0
+        return records
 
-def _blocks(records: NDArray[np.void]) -> list[Output]:
-    """Data blocks of category 062, none longer than a datagram may be."""
+    def _plots(self, picture: Picture) -> NDArray[np.void]:
+        plots = [plot for plot in picture.plots if _is_near(plot.range_km)]
+        records = self._reports(len(plots), _PLOT, picture)
+        records["report"] |= _PRIMARY
+        if plots:
+            records["measured"] = _polar(np.array(plots))
+        return records
+
+    def _plot_ends(self, numbers: Sequence[int], picture: Picture) -> NDArray[np.void]:
+        records = self._reports(len(numbers), _PLOT_END, picture)
+        records["number"] = numbers
+        records["status"] = _PRIMARY_TRACK | _CLIMB_UNKNOWN | _MORE, _END_48
+        return records
+
+    def _plot_tracks(self, tracks: Sequence[tuple[Track, int]], picture: Picture) -> NDArray[np.void]:
+        records = self._reports(len(tracks), _PLOT_TRACK, picture)
+        if not tracks:
+            return records
+        of = [track for track, _ in tracks]
+        records["number"] = [number for _, number in tracks]
+        places = np.array([(track.east_km, track.north_km) for track in of])
+        east, north = places.T
+        records["position"] = _polar(np.stack((np.hypot(east, north), np.degrees(np.arctan2(east, north))), axis=-1))
+        records["place"] = _within(places * (128.0 / NM_KM), np.int16)
+        speeds, courses = np.array([(track.speed, track.course_deg) for track in of]).T
+        records["velocity"][:, 0] = _within(speeds * ((1 << 14) / (1e3 * NM_KM)), np.uint16)
+        records["velocity"][:, 1] = np.rint(courses * TURN_48).astype(np.int64) % (1 << 16)
+        state = _PRIMARY_TRACK | _CLIMB_UNKNOWN
+        records["status"] = [state | (0 if track.confirmed else _TENTATIVE_48) for track in of]
+        return records
+
+
+def _is_near(range_km: float) -> bool:
+    """Whether category 048 has room for a distance."""
+    return range_km / NM_KM * 256.0 < MOST_NM * 256.0 - 0.5
+
+
+def _polar(positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Distance, km, and azimuth, degrees, in units of category 048, (n, 2); 360 degrees are 0."""
+    return np.asarray(np.rint(positions * (256.0 / NM_KM, TURN_48)).astype(np.int64) % (1 << 16))
+
+
+def _blocks(category: int, records: NDArray[np.void]) -> list[Output]:
+    """Data blocks, none longer than a datagram may be."""
     most = (MAX_BYTES - 3) // records.dtype.itemsize
-    return [_block(62, records[i : i + most]) for i in range(0, len(records), most)]
+    return [_block(category, records[i : i + most]) for i in range(0, len(records), most)]
 
 
 def _block(category: int, records: NDArray[np.void]) -> Output:

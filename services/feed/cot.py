@@ -19,6 +19,8 @@ PERIODS = 2.0  # between pictures, at least until an event is stale
 class CursorOnTarget:
     """An event for each track in each picture; one that deletes it when the track ends."""
 
+    wants_plots = False
+
     def __init__(self, stale_s: float) -> None:
         """stale_s : after which a display may take a track away that it hears no more of."""
         self._stale_s = stale_s

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.aircraft_json import AircraftJson
-from cogradar.services.feed.asterix import Asterix, Source
+from cogradar.services.feed.asterix import DEFAULT, Asterix, Source, categories_of
 from cogradar.services.feed.cot import CursorOnTarget
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Format
@@ -18,6 +18,7 @@ class Options(NamedTuple):
     """What formats can be told."""
 
     source: Source = Source(0, 1)  # of ASTERIX
+    categories: str = DEFAULT
     stale_s: float = 10.0  # of Cursor on Target
 
 
@@ -31,7 +32,9 @@ class Kind(NamedTuple):
 
 FORMATS: Mapping[str, Kind] = {
     "aircraft-json": Kind(lambda _: AircraftJson(), has_files=True, is_stream=False),
-    "asterix": Kind(lambda options: Asterix(options.source), has_files=False, is_stream=True),
+    "asterix": Kind(
+        lambda options: Asterix(options.source, categories_of(options.categories)), has_files=False, is_stream=True
+    ),
     "cot": Kind(lambda options: CursorOnTarget(options.stale_s), has_files=False, is_stream=True),
     "geojson": Kind(lambda _: GeoJson(), has_files=True, is_stream=True),
 }

@@ -15,6 +15,8 @@ FILE = "tracks.geojson"
 class GeoJson:
     """A line for each picture, or a file with the newest."""
 
+    wants_plots = False
+
     def encode(self, picture: Picture) -> list[Output]:
         """The collection of a picture's tracks."""
         collection = {

@@ -16,5 +16,9 @@ class Output(NamedTuple):
 class Format(Protocol):
     """What tells pictures in the words of other systems. It keeps what it needs to say that a track has ended."""
 
+    @property
+    def wants_plots(self) -> bool:
+        """Whether pictures are to have the detections of their dwells."""
+
     def encode(self, picture: Picture) -> Sequence[Output]:
         """What is to be sent for a picture: all of it, so that a display that joins late has it in one cycle."""

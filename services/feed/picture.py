@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.skies.place import Place, dwell_s
-from cogradar.shared.protocol.messages import Message, Plan, Waveform
+from cogradar.shared.protocol.messages import Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
+from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.signal.response import strongest_of_each
 
 Floats = NDArray[np.float64]
 WAIT_S = 0.05  # for plans of a dwell that are on their way when its waveform is there
@@ -40,6 +42,13 @@ class Track(NamedTuple):
         return float(np.degrees(np.arctan2(*self.velocity)) % 360.0)
 
 
+class Plot(NamedTuple):
+    """A detection with a measured range; of the rows of one echo the strongest, as trackers take it."""
+
+    range_km: float  # centre of the range cell, from the array to the target
+    azimuth_deg: float  # clockwise from north
+
+
 class Picture(NamedTuple):
     """All tracks after a dwell. A track that is no more in the next picture has ended."""
 
@@ -50,11 +59,22 @@ class Picture(NamedTuple):
     site: SiteSection
     is_simulated: bool
     tracks: tuple[Track, ...]  # by number
+    plots: tuple[Plot, ...] = ()  # of the dwell, if they are wanted
     is_last: bool = False  # of its run
 
     def without_tracks(self) -> "Picture":
         """The picture after the end of the run, or of the feed."""
-        return self._replace(tracks=(), is_last=True)
+        return self._replace(tracks=(), plots=(), is_last=True)
+
+
+class Wanted(NamedTuple):
+    """What pictures are to have."""
+
+    tentative: bool = False  # tracks that are not confirmed, too
+    plots: bool = False
+
+
+TRACKS_ALONE = Wanted()
 
 
 class Pictures:
@@ -63,11 +83,12 @@ class Pictures:
     The waveform of a dwell answers all plans that were there in time. A track whose plan is missing coasts.
     """
 
-    def __init__(self, run: str, scenario: Scenario, site: SiteSection, *, tentative: bool = False) -> None:
-        """tentative : tracks that are not confirmed are shown, too."""
+    def __init__(self, run: str, scenario: Scenario, site: SiteSection, wanted: Wanted = TRACKS_ALONE) -> None:
         self.run = run
         self._scenario, self._site, self._place = scenario, site, Place.of(site)
-        self._tentative = tentative
+        self._wanted = wanted
+        self._scan_rows = ScanRows.of(scenario.radar)
+        self._plots: tuple[int, tuple[Plot, ...]] = (-1, ())  # of the newest scan, with its dwell
         self._plans: dict[int, Plan] = {}  # newest of each track
         self._seen_k: dict[int, int] = {}  # when it was detected last, or began
         self._waiting: Waveform | None = None
@@ -88,6 +109,9 @@ class Pictures:
         found = list[Picture]()
         if isinstance(message, Plan) and message.run == self.run:
             self._add(message)
+        elif isinstance(message, Scan) and message.run == self.run:
+            if self._wanted.plots and message.k > self._k:
+                self._plots = message.k, self._plots_of(message)
         elif isinstance(message, Waveform) and message.run == self.run:
             if message.k <= self._k:
                 return []  # redelivered
@@ -126,7 +150,9 @@ class Pictures:
         t = waveform.k + 1 if unknown else self._t + max(0, waveform.k - self._t_k) * waveform.tracking
         stated_s = dwell_s(self._site, t, dt_s)
         shown = [
-            self._plans[n] for n in sorted(self._plans) if self._tentative or self._plans[n].confirmed is not False
+            self._plans[n]
+            for n in sorted(self._plans)
+            if self._wanted.tentative or self._plans[n].confirmed is not False
         ]
         picture = Picture(
             run=self.run,
@@ -136,8 +162,17 @@ class Pictures:
             site=self._site,
             is_simulated=self._scenario.world is not None,
             tracks=self._tracks(shown, waveform.k, dt_s),
+            plots=self._plots[1] if self._plots[0] == waveform.k else (),
         )
         return [picture]
+
+    def _plots_of(self, scan: Scan) -> tuple[Plot, ...]:
+        seen = self._scan_rows.read(vars(scan))
+        at = np.flatnonzero(seen.is_over() & (seen.ranges_km > 0.0))
+        columns = seen.statistic[at], seen.nus[at], seen.ranges_km[at]
+        at = at[np.sort(strongest_of_each(self._scan_rows.response, *columns))]
+        azimuths = (self._place.boresight + np.degrees(np.arcsin(np.clip(2.0 * seen.nu_hats[at], -1.0, 1.0)))) % 360.0
+        return tuple(map(Plot, seen.ranges_km[at].tolist(), azimuths.tolist()))
 
     def _tracks(self, plans: Sequence[Plan], k: int, dt_s: float) -> tuple[Track, ...]:
         if not plans:

@@ -10,9 +10,9 @@ from typing import Any
 from cogradar.services.analysis.stored_run import Ask, StoredRun
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics
-from cogradar.services.feed.picture import Picture, Pictures
+from cogradar.services.feed.picture import Picture, Pictures, Wanted
 from cogradar.services.metrics.client import ANSWER_WITHIN_S, CONNECT_WITHIN_S
-from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.wire.codec import decode
 from cogradar.shared.wire.queries import BadRequest, NoAnswer, ask
@@ -37,12 +37,12 @@ def site_of(run: str, scenario: Scenario) -> SiteSection:
     return scenario.site
 
 
-def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, *, tentative: bool) -> Iterator[Picture]:
+def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, wanted: Wanted) -> Iterator[Picture]:
     """The pictures of a run that was recorded, `speed` times as fast as it was; 0: without a pause. Raises BadInput."""
     stored = StoredRun(ask_metrics, run)
-    pictures = Pictures(stored.name, stored.scenario, site_of(stored.name, stored.scenario), tentative=tentative)
+    pictures = Pictures(stored.name, stored.scenario, site_of(stored.name, stored.scenario), wanted)
     due_s = time.monotonic()
-    for _, payloads in stored.messages("plan", "waveform"):
+    for _, payloads in stored.messages("plan", "waveform", *(["scan"] if wanted.plots else [])):
         for picture in [one for payload in payloads for one in pictures.take(decode(payload), due_s, time.time())]:
             while (left := due_s - time.monotonic()) > 0.0:
                 check()
@@ -53,7 +53,7 @@ def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, *, t
 
 
 def live(
-    endpoint: str, run: str | None, check: Check, notify: Callable[[str], None], *, tentative: bool
+    endpoint: str, run: str | None, check: Check, notify: Callable[[str], None], wanted: Wanted
 ) -> Iterator[Picture | None]:
     """The pictures of a run as it goes on: of the newest, and then of those that begin after it; None: none just now.
 
@@ -65,9 +65,10 @@ def live(
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
     try:
-        listener = Listener(session, (Checkpoint, Plan, Waveform))  # first: nothing is missed after the answer
+        scans = (Scan,) if wanted.plots else ()
+        listener = Listener(session, (Checkpoint, *scans, Plan, Waveform))  # first: nothing is missed after the answer
         try:
-            yield from _Followed(session, run, check, notify, tentative=tentative).pictures(listener)
+            yield from _Followed(session, run, check, notify, wanted).pictures(listener)
         finally:
             listener.close()
     finally:
@@ -78,10 +79,10 @@ class _Followed:
     """The run that is followed, and those that it is not."""
 
     def __init__(
-        self, session: Session, run: str | None, check: Check, notify: Callable[[str], None], *, tentative: bool
+        self, session: Session, run: str | None, check: Check, notify: Callable[[str], None], wanted: Wanted
     ) -> None:
         self._session, self._only, self._check, self._notify = session, run, check, notify
-        self._tentative = tentative
+        self._wanted = wanted
         self._known: set[str] = set()  # runs that were looked at: they are followed, or not to be
         self._ended: set[str] = set()  # runs that were heard to end
         self._ask_s = 0.0  # when metrics may be asked again
@@ -166,7 +167,7 @@ class _Followed:
         self._known.add(row["run"])
         scenario = Scenario.model_validate(row["document"])
         site = site_of(row["run"], scenario)
-        self._now = Pictures(row["run"], scenario, site, tentative=self._tentative)
+        self._now = Pictures(row["run"], scenario, site, self._wanted)
         self._notify(f"following {row['run']}")
 
     def _row(self, run: str | None, within_s: float = ANSWER_WITHIN_S) -> dict[str, Any] | None:

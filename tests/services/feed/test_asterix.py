@@ -9,12 +9,12 @@ import asterix.generated as categories
 import numpy as np
 import pytest
 
-from cogradar.services.feed.asterix import MAX_BYTES, NUMBERS, PAUSE_S, Asterix, Numbers, Source
+from cogradar.services.feed.asterix import MAX_BYTES, NUMBERS, PAUSE_S, Asterix, Numbers, Source, categories_of
 from cogradar.services.feed.output import Output
-from cogradar.services.feed.picture import Picture
+from cogradar.services.feed.picture import Picture, Plot
 from tests.services.feed.made import SITE, UTC_S, crowd, picture, track
 
-UAPS = {34: categories.Cat_034_1_29.cv_uap, 62: categories.Cat_062_1_20.cv_uap}
+UAPS = {34: categories.Cat_034_1_29.cv_uap, 48: categories.Cat_048_1_32.cv_uap, 62: categories.Cat_062_1_20.cv_uap}
 SOURCE = Source(25, 7)
 TRACKS = 3000
 
@@ -105,6 +105,63 @@ def test_the_radar_is_told_before_its_tracks() -> None:
     assert quantity(radar, "m", "120", "HGT") == SITE.height_m
     assert quantity(radar, "°", "120", "LAT") == pytest.approx(SITE.latitude_deg, abs=1.1e-5)
     assert quantity(radar, "°", "120", "LON") == pytest.approx(SITE.longitude_deg, abs=1.1e-5)
+
+
+NM_KM = 1.852
+
+
+def test_a_decoder_of_others_reads_plots_and_tracks_of_the_radar() -> None:
+    draw = np.random.default_rng(3)
+    plots = [Plot(*one) for one in draw.uniform((0.0, 0.0), (474.0, 360.0), (TRACKS, 2)).tolist()] + [
+        Plot(0.0, 359.999)
+    ]
+    made = crowd(TRACKS, seed=6)._replace(plots=tuple(plots))
+    sent = [
+        record for category, record in records(Asterix(SOURCE, categories_of("048")).encode(made)) if category == 48
+    ]
+    assert len(sent) == len(plots) + len(made.tracks)
+    for record in sent:
+        assert (whole(record, "010", "SAC"), whole(record, "010", "SIC")) == SOURCE
+        assert quantity(record, "s", "140") == pytest.approx(made.utc_s % 86_400.0, abs=1.0 / 256.0)
+        assert whole(record, "020", "SIM") == 1
+    for record, plot in zip(sent, plots, strict=False):
+        assert whole(record, "020", "TYP") == 1  # a detection of a primary radar
+        assert record.get_item("161") is None
+        _check_polar(record, plot.range_km, plot.azimuth_deg)
+    for record, of in zip(sent[len(plots) :], made.tracks, strict=True):
+        assert whole(record, "020", "TYP") == 0  # the estimate is no detection
+        azimuth = math.degrees(math.atan2(of.east_km, of.north_km))
+        _check_polar(record, math.hypot(of.east_km, of.north_km), azimuth)
+        half = 0.5001 / 128.0
+        assert quantity(record, "NM", "042", "X") == pytest.approx(of.east_km / NM_KM, abs=half)
+        assert quantity(record, "NM", "042", "Y") == pytest.approx(of.north_km / NM_KM, abs=half)
+        assert quantity(record, "NM/s", "200", "GSP") == pytest.approx(of.speed / 1852.0, abs=0.5001 / 2**14)
+        assert _turned(quantity(record, "°", "200", "HDG"), of.course_deg) <= 180.01 / 65536.0
+        names = ("CNF", "RAD", "DOU", "MAH", "CDM")
+        assert [whole(record, "170", name) for name in names] == [int(not of.confirmed), 1, 0, 0, 3]
+
+
+def _check_polar(record: Any, range_km: float, azimuth_deg: float) -> None:
+    assert quantity(record, "NM", "040", "RHO") == pytest.approx(range_km / NM_KM, abs=0.5001 / 256.0)
+    assert _turned(quantity(record, "°", "040", "THETA"), azimuth_deg) <= 180.01 / 65536.0
+
+
+def _turned(a: float, b: float) -> float:
+    return abs((a - b + 180.0) % 360.0 - 180.0)
+
+
+def test_beyond_what_category_048_can_say_there_is_no_report() -> None:
+    form = Asterix(SOURCE, categories_of("048,062"))
+    made = picture(track(1, 480.0, 0.0), track(2))._replace(plots=(Plot(474.2, 10.0), Plot(474.0, 10.0)))
+    found = list(records(form.encode(made)))
+    assert [category for category, _ in found] == [62, 62, 48, 48]
+    assert [whole(record, "161") for _, record in found if record.get_item("161") is not None] == [1]
+    (end,) = (r for category, r in records(form.encode(picture(track(1), t=2))) if category == 48 and _ends(r))
+    assert (whole(end, "161"), whole(end, "170", "TRE")) == (1, 1)
+
+
+def _ends(record: Any) -> bool:
+    return record.get_item("040") is None
 
 
 def test_a_track_has_a_first_and_a_last_record() -> None:

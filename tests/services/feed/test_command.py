@@ -51,6 +51,7 @@ def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
     out = ("--out", str(tmp_path), "--store", file)
     for options, words in (
         (("--to", "asterisk", *out), "--to asterisk: must be one of"),
+        (("--to", "asterix", "--categories", "48", "--out", "-", "--store", file), "must be some of 034, 048, 062"),
         (("--to", "geojson", without, *out), "has no [site]"),
         (("--to", "geojson", "nothing", *out), "no such run"),
         (("--to", "geojson", "--out", f"{file}/x", "--store", file), "is no folder that can be written to"),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from cogradar.services.errors import BadInput, NoMetrics
-from cogradar.services.feed.picture import Picture
+from cogradar.services.feed.picture import Picture, Wanted
 from cogradar.services.feed.source import live
 from cogradar.services.runs.cluster import play_on
 from cogradar.shared.protocol.messages import RunStart
@@ -41,7 +41,7 @@ def _played(endpoint: str, start: RunStart) -> threading.Thread:
 def test_a_run_that_begins_is_followed_to_its_end(endpoint: str) -> None:
     start = RunStart.of(load("smoke", SITE), Strategy.POWER_AWARE, 1, DWELLS, RATE_HZ)
     said, found, player = list[str](), list[Picture](), None
-    for picture in live(endpoint, None, _until(WITHIN_S), said.append, tentative=False):
+    for picture in live(endpoint, None, _until(WITHIN_S), said.append, Wanted()):
         player = player or _played(endpoint, start)  # once the feed listens
         if picture is not None:
             found.append(picture)
@@ -57,9 +57,9 @@ def test_a_run_that_begins_is_followed_to_its_end(endpoint: str) -> None:
     assert shown[-1].t >= DWELLS - 5
     assert all(abs(picture.utc_s - time.time()) < WITHIN_S for picture in shown)
     with pytest.raises(BadInput, match="is over"):
-        next(live(endpoint, start.run, _until(5.0), said.append, tentative=False))
+        next(live(endpoint, start.run, _until(5.0), said.append, Wanted()))
 
 
 def test_without_services_it_says_so() -> None:
     with pytest.raises(NoMetrics, match="no metrics service"):
-        next(live("tcp/127.0.0.1:9", None, _until(20.0), print, tentative=False))
+        next(live("tcp/127.0.0.1:9", None, _until(20.0), print, Wanted()))

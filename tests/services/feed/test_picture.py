@@ -1,14 +1,17 @@
 """Pictures of the air, from the messages of runs."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from cogradar.services.feed.picture import WAIT_S, Picture, Pictures
+from cogradar.services.feed.picture import TRACKS_ALONE, WAIT_S, Picture, Pictures, Wanted
 from cogradar.services.skies.place import Place
-from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.tracking.association import echoes
 from tests.services.feed.made import SITE
 from tests.services.loop import play, smoke_start
 from tests.skies import sky_start
@@ -21,10 +24,12 @@ def sky() -> list[Message]:
     return play(sky_start(dwells=DWELLS))
 
 
-def pictures_of(said: Sequence[Message], *, tentative: bool = False, begin_utc: str | None = None) -> list[Picture]:
+def pictures_of(
+    said: Sequence[Message], wanted: Wanted = TRACKS_ALONE, *, begin_utc: str | None = None
+) -> list[Picture]:
     start = next(message for message in said if isinstance(message, RunStart))
     site = SITE.model_copy(update={"begin_utc": begin_utc})
-    made = Pictures(start.run, Scenario.model_validate(start.scenario), site, tentative=tentative)
+    made = Pictures(start.run, Scenario.model_validate(start.scenario), site, wanted)
     return [picture for message in said for picture in made.take(message, 0.0, 77.0)]
 
 
@@ -73,9 +78,27 @@ def test_tracks_are_told_from_confirmation_to_their_end(sky: list[Message]) -> N
 
 
 def test_tentative_tracks_are_told_on_request(sky: list[Message]) -> None:
-    found = [track for picture in pictures_of(sky, tentative=True) for track in picture.tracks]
+    found = [track for picture in pictures_of(sky, Wanted(tentative=True)) for track in picture.tracks]
     assert {track.confirmed for track in found} == {True, False}
     assert all(track.existence is not None for track in found)
+
+
+def test_plots_are_the_detections_of_a_dwell_and_one_of_each_echo(sky: list[Message]) -> None:
+    radar = Scenario.model_validate(next(one for one in sky if isinstance(one, RunStart)).scenario).radar
+    rows, scans = ScanRows.of(radar), {one.k: one for one in sky if isinstance(one, Scan)}
+    n_row = n_plot = 0
+    for picture in pictures_of(sky, Wanted(plots=True)):
+        seen = rows.read(vars(scans[picture.t - 1]))
+        over = {
+            (float(seen.ranges_km[i]), SITE.boresight_deg + math.degrees(math.asin(2.0 * seen.nu_hats[i])))
+            for i in np.flatnonzero(seen.is_over())
+        }
+        assert len(picture.plots) == len(echoes(rows.response, seen, np.flatnonzero(seen.is_over())))
+        for plot in picture.plots:
+            assert any(plot == pytest.approx((one[0], one[1] % 360.0)) for one in over)
+        n_row, n_plot = n_row + len(over), n_plot + len(picture.plots)
+    assert 0 < n_plot < n_row
+    assert not any(picture.plots for picture in pictures_of(sky))
 
 
 def test_a_track_whose_plan_is_late_coasts_for_that_dwell() -> None:

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import pytest
 
+from cogradar.services.feed.picture import Wanted
 from cogradar.services.feed.source import _Followed
 from cogradar.shared.protocol.messages import Checkpoint, Message
 from cogradar.shared.wire.session import Session
@@ -55,7 +56,7 @@ def _followed(
             raise _Done
 
     monkeypatch.setattr(_Followed, "_row", row)
-    followed = _Followed(cast("Session", object()), None, check, said.append, tentative=False)
+    followed = _Followed(cast("Session", object()), None, check, said.append, Wanted())
     with pytest.raises(_Done):
         for _ in followed.pictures(cast("Listener", _Listener(lots))):
             pass
