@@ -250,7 +250,7 @@ def replay(
 
 
 def feed(
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="aircraft-json, asterix, cot or geojson.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="aircraft-json, asterix, cot, geojson or sapient.")],
     where: Annotated[
         str,
         typer.Option(
@@ -288,14 +288,13 @@ def feed(
     from cogradar.services.feed.asterix import Source
     from cogradar.services.feed.picture import Wanted
     from cogradar.services.feed.source import live, recorded
-    from cogradar.services.feed.transport import transport
     from cogradar.services.metrics import client as asking
 
     with command(zenoh_config=zenoh_config) as stop:
         kind, check, notify = feeding.kind_of(to), partial(check_stop, stop), partial(say, console=err)
-        way = transport(where, has_files=kind.has_files, is_stream=kind.is_stream, notify=notify)
+        form = kind.make(feeding.Options(Source(sac, sic), categories, stale))
+        way = kind.way(where, form, notify)
         try:
-            form = kind.make(feeding.Options(Source(sac, sic), categories, stale))
             wanted = Wanted(tentative, plots=form.wants_plots)
             if store is None:
                 n = feeding.feed(live(connect, run_, check, notify, wanted), form, way, rate)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cogradar.services.feed.output import Output
+from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture, Track
 
 AIRCRAFT, RECEIVER = "aircraft.json", "receiver.json"
@@ -20,10 +20,8 @@ GONE_S = 60.0  # a page takes an aircraft away 58 s after its last message, by t
 LEAST_S = 0.001  # from one file to the next, or a page does not read it
 
 
-class AircraftJson:
+class AircraftJson(Format):
     """Both files, as far as they change."""
-
-    wants_plots = False
 
     def __init__(self) -> None:
         self._told: Any = None  # site of the receiver's file

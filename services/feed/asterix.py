@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.errors import BadInput
-from cogradar.services.feed.output import Output
+from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture, Track
 
 NUMBERS: Final = 1 << 12  # of tracks, at a time
@@ -153,7 +153,7 @@ def categories_of(text: str) -> frozenset[int]:
     return frozenset(known[name] for name in names)
 
 
-class Asterix:
+class Asterix(Format):
     """For each picture the radar (034), the tracks that ended and the tracks (062), its detections and tracks (048)."""
 
     def __init__(self, source: Source, categories: frozenset[int] = frozenset((RADAR, TRACKS))) -> None:

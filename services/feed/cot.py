@@ -5,7 +5,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cogradar.services.feed.output import Output
+from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture, Track
 
 TYPE = "a-u-A"  # an atom, of unknown affiliation, in the air
@@ -16,10 +16,8 @@ UNKNOWN = "9999999.0"  # height, and its error
 PERIODS = 2.0  # between pictures, at least until an event is stale
 
 
-class CursorOnTarget:
+class CursorOnTarget(Format):
     """An event for each track in each picture; one that deletes it when the track ends."""
-
-    wants_plots = False
 
     def __init__(self, stale_s: float) -> None:
         """stale_s : after which a display may take a track away that it hears no more of."""

@@ -11,7 +11,8 @@ from cogradar.services.feed.cot import CursorOnTarget
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Format
 from cogradar.services.feed.picture import Picture
-from cogradar.services.feed.transport import Transport
+from cogradar.services.feed.sapient import Sapient
+from cogradar.services.feed.transport import Transport, transport
 
 
 class Options(NamedTuple):
@@ -28,6 +29,12 @@ class Kind(NamedTuple):
     make: Callable[[Options], Format]
     has_files: bool  # its outputs replace each other
     is_stream: bool  # its outputs can follow each other in a stream of bytes
+    is_dialogue: bool = False  # the other side answers: it needs a connection
+
+    def way(self, out: str, form: Format, notify: Callable[[str], None]) -> Transport:
+        """The transport that --out names. Raises BadInput."""
+        flags = {"has_files": self.has_files, "is_stream": self.is_stream, "is_dialogue": self.is_dialogue}
+        return transport(out, form, notify, **flags)
 
 
 FORMATS: Mapping[str, Kind] = {
@@ -37,6 +44,7 @@ FORMATS: Mapping[str, Kind] = {
     ),
     "cot": Kind(lambda options: CursorOnTarget(options.stale_s), has_files=False, is_stream=True),
     "geojson": Kind(lambda _: GeoJson(), has_files=True, is_stream=True),
+    "sapient": Kind(lambda _: Sapient(), has_files=False, is_stream=True, is_dialogue=True),
 }
 
 

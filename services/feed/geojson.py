@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from cogradar.services.feed.output import Output
+from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture, Track
 
 FILE = "tracks.geojson"
 
 
-class GeoJson:
+class GeoJson(Format):
     """A line for each picture, or a file with the newest."""
-
-    wants_plots = False
 
     def encode(self, picture: Picture) -> list[Output]:
         """The collection of a picture's tracks."""

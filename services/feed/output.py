@@ -16,9 +16,15 @@ class Output(NamedTuple):
 class Format(Protocol):
     """What tells pictures in the words of other systems. It keeps what it needs to say that a track has ended."""
 
-    @property
-    def wants_plots(self) -> bool:
-        """Whether pictures are to have the detections of their dwells."""
+    wants_plots: bool = False  # pictures are to have the detections of their dwells
 
     def encode(self, picture: Picture) -> Sequence[Output]:
         """What is to be sent for a picture: all of it, so that a display that joins late has it in one cycle."""
+
+    def greeting(self) -> bytes:
+        """What is said first on a connection, before anything else; empty: nothing is."""
+        return b""
+
+    def answer(self, data: bytes) -> bytes:  # noqa: ARG002
+        """What is said to what the other side of a connection says. Raises RunFailed if that ends the feed."""
+        return b""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cogradar.services.errors import BadInput, RunFailed
-from cogradar.services.feed.output import Output
+from cogradar.services.feed.output import Format, Output
 
 GAP_S = 0.001  # between datagrams: a burst would overflow the buffers of receivers and switches
 CONNECT_S = 2.0
@@ -30,13 +30,18 @@ class Transport(Protocol):
         """Let go of what is open."""
 
 
-def transport(out: str, *, has_files: bool, is_stream: bool, notify: Callable[[str], None]) -> Transport:
+def transport(
+    out: str, form: Format, notify: Callable[[str], None], *, has_files: bool, is_stream: bool, is_dialogue: bool
+) -> Transport:
     """The transport that --out names: udp://HOST:PORT, tcp://HOST:PORT, `-`, or a folder for files.
 
     has_files : the format names its files
     is_stream : its outputs can follow each other in a stream of bytes
+    is_dialogue : the other side answers
     Raises BadInput.
     """
+    if is_dialogue and not out.startswith("tcp:"):
+        raise BadInput(f"--out {out}: this format needs a connection; must be tcp://HOST:PORT")
     if out == "-":
         if not is_stream:
             raise BadInput("--out -: this format has several files; name a folder")
@@ -51,7 +56,7 @@ def transport(out: str, *, has_files: bool, is_stream: bool, notify: Callable[[s
     if has_files:
         raise BadInput(f"--out {out}: this format is files; name a folder" + (" or -" if is_stream else ""))
     address = found[2] or found[3], int(found[4])
-    return Udp(*address, notify) if found[1] == "udp" else Tcp(*address, notify)
+    return Udp(*address, notify) if found[1] == "udp" else Tcp(*address, form, notify)
 
 
 class Stdout:
@@ -132,20 +137,22 @@ class Udp:
 class Tcp:
     """A connection to a server, made again whenever it is lost; what would have been sent meanwhile is not."""
 
-    def __init__(self, host: str, port: int, notify: Callable[[str], None]) -> None:
-        self._address, self._notify = (host, port), notify
+    def __init__(self, host: str, port: int, form: Format, notify: Callable[[str], None]) -> None:
+        self._address, self._form, self._notify = (host, port), form, notify
         self._socket: socket.socket | None = None
         self._next_s = 0.0
         self._said = ""
 
     def send(self, outputs: Sequence[Output]) -> None:
-        """Send all, if there is a connection or one can be had."""
-        if self._socket is None and not self._connect():
+        """Send all, if there is a connection or one can be had; where a greeting must come first, that alone."""
+        is_new = self._socket is None
+        if is_new and not self._connect():
             return
+        greeting = self._form.greeting() if is_new else b""
         try:
             if self._socket is not None:
-                self._drain(self._socket)
-                self._socket.sendall(b"".join(output.data for output in outputs))
+                answer = self._read(self._socket)
+                self._socket.sendall(greeting or answer + b"".join(output.data for output in outputs))
         except OSError as error:
             self._drop()
             self._say(error)
@@ -157,18 +164,19 @@ class Tcp:
             with suppress(OSError):
                 self._socket.shutdown(socket.SHUT_WR)
                 while time.monotonic() < deadline_s:
-                    self._drain(self._socket)
+                    self._read(self._socket)
                     time.sleep(GAP_S)
         self._drop()
 
-    def _drain(self, connection: socket.socket) -> None:
-        """Read what the server says, which is of no use here. Raises ConnectionError at its end."""
+    def _read(self, connection: socket.socket) -> bytes:
+        """Read what the server says; what is to be answered. Raises ConnectionError at its end, RunFailed."""
+        answer = b""
         connection.settimeout(0.0)
         try:
-            while connection.recv(65536):
-                pass
+            while data := connection.recv(65536):
+                answer += self._form.answer(data)
         except BlockingIOError:
-            return
+            return answer
         finally:
             connection.settimeout(CONNECT_S)
         raise ConnectionResetError("connection closed by the server")

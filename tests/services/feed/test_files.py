@@ -10,11 +10,11 @@ import pytest
 
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.aircraft_json import KNOT, AircraftJson
-from cogradar.services.feed.feed import FORMATS, feed
+from cogradar.services.feed.feed import FORMATS, Options, feed
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Output
 from cogradar.services.feed.picture import Picture
-from cogradar.services.feed.transport import Folder, transport
+from cogradar.services.feed.transport import Folder
 from tests.services.feed.made import SITE, UTC_S, crowd, picture, track
 
 
@@ -126,12 +126,12 @@ def test_files_are_replaced_whole(tmp_path: Path) -> None:
         ("aircraft-json", "udp://127.0.0.1:9", "is files"),
         ("geojson", "http://host:80", "must be udp://HOST:PORT"),
         ("geojson", "udp://host:70000", "must be udp://HOST:PORT"),
+        ("sapient", "udp://127.0.0.1:9", "needs a connection; must be tcp://HOST:PORT"),
     ],
 )
 def test_places_that_a_format_cannot_go_to(to: str, out: str, words: str) -> None:
-    kind = FORMATS[to]
     with pytest.raises(BadInput, match=words):
-        transport(out, has_files=kind.has_files, is_stream=kind.is_stream, notify=print)
+        FORMATS[to].way(out, FORMATS[to].make(Options()), print)
 
 
 class _Broken(_Kept):

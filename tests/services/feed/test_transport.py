@@ -6,6 +6,7 @@ import time
 import pytest
 
 from cogradar.services.errors import BadInput
+from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Output
 from cogradar.services.feed.transport import GAP_S, Tcp, Udp
 
@@ -39,7 +40,7 @@ def test_what_a_server_says_is_read_and_all_that_is_sent_last_arrives() -> None:
     """With data unread, a connection that is closed is reset, and the other end loses what was under way."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(5.0)
-        way = Tcp("127.0.0.1", server.getsockname()[1], _nothing)
+        way = Tcp("127.0.0.1", server.getsockname()[1], GeoJson(), _nothing)
         way.send([Output(b"<a/>")])
         other, _ = server.accept()
         other.settimeout(5.0)
@@ -60,7 +61,7 @@ def test_a_connection_that_is_lost_is_made_again(monkeypatch: pytest.MonkeyPatch
     said = list[str]()
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(5.0)
-        way = Tcp("127.0.0.1", server.getsockname()[1], said.append)
+        way = Tcp("127.0.0.1", server.getsockname()[1], GeoJson(), said.append)
         way.send([Output(b"<a/>"), Output(b"<b/>")])
         first, _ = server.accept()
         assert first.recv(100) == b"<a/><b/>"
@@ -82,7 +83,7 @@ def test_a_connection_that_is_lost_is_made_again(monkeypatch: pytest.MonkeyPatch
 def test_without_a_server_it_says_so_once_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cogradar.services.feed.transport.RETRY_S", 0.0)
     said = list[str]()
-    way = Tcp("127.0.0.1", 9, said.append)
+    way = Tcp("127.0.0.1", 9, GeoJson(), said.append)
     way.send([Output(b"x")])
     way.send([Output(b"y")])
     assert said == ["tcp://127.0.0.1:9: connection refused; trying again"]
