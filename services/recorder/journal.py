@@ -16,6 +16,7 @@ from cogradar.services.recorder.lock import JournalLock
 from cogradar.services.recorder.schema import (
     MEMORY,
     STAMP,
+    Limit,
     Recording,
     connect,
     failure,
@@ -65,6 +66,7 @@ class Journal:
         self.path = path
         self.commits = Durations()
         self._db = connect(path, read_only=read_only)
+        self._limit = Limit(self._db, path)
         self._lock: JournalLock | None = None
         try:
             if not read_only and path != MEMORY:
@@ -257,6 +259,7 @@ class Journal:
 
     def rows(self, query: str, parameters: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """The same as they come: many numbers are read in half the time."""
+        self._limit.begin()
         try:
             return self._db.execute(query, tuple(parameters)).fetchall()
         except sqlite3.Error as error:
@@ -280,6 +283,7 @@ class Journal:
             f"SELECT k, topic, payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
             " ORDER BY k, topic, item"
         )
+        self._limit.begin()
         try:
             for row in self._db.execute(query, (run, from_k, end, *topics)):
                 yield tuple(row)
@@ -353,6 +357,7 @@ class Journal:
         is_ours = not self._db.in_transaction  # else the rows wait for somebody else's commit, but can be read
         if is_ours:
             self._execute("BEGIN")
+        self._limit.begin()
         try:
             self._db.executemany(statement, rows)
         except sqlite3.Error as error:
@@ -380,6 +385,7 @@ class Journal:
         )
 
     def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
+        self._limit.begin()
         try:
             return self._db.execute(statement, parameters)
         except sqlite3.Error as error:

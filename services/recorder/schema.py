@@ -1,4 +1,7 @@
-"""The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
+"""The file of a journal: its tables, and which files are journals. Made once, whole, never out of another program's.
+
+A file may come from anywhere. SQLite runs what a schema holds (triggers, views, expressions) inside our own statements,
+so a file whose schema is not word for word ours is refused before it is asked anything.
 
 Tables `run`, `message`, `snapshot` and `command` are the recorder's, `score`, `picture` and `campaign` a campaign's,
 whose store has few messages. Targets and tracks count from 1.
@@ -6,9 +9,11 @@ whose store has few messages. Targets and tracks count from 1.
 
 import shutil
 import sqlite3
+import sys
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +28,14 @@ STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it
 MAX_COMMANDS = 10_000  # of a run
 MEMORY = ":memory:"
 ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
+MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 MiB
+STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks at how many a question took
+STEPS, STEPS_PER_BYTE = 200_000_000, 20  # that a question may take: some seconds, and longer for a long file
+_ACTING = "trigger view index table"  # what a schema holds, in the order in which it is named
 _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
 
 # Comments stay in a file's own description of itself (`.schema` of sqlite3), and make the page of the reference. In
-# brackets the unit. None may hold a semicolon.
+# brackets the unit. None may hold a semicolon. Files are compared with these words: to change one is a new version.
 SCORE_KEY, PICTURE_KEY = "run, t, target", "run, t"
 _TABLES = f"""
 CREATE TABLE run ( -- one row per run
@@ -101,12 +110,44 @@ class NoStoreYet(BadInput):
     """There is no file, or an empty one: somebody may be about to make it a store."""
 
 
+class Limit:
+    """How long a question to a file may take, in steps of SQLite's machine: pages that refer to each other can make a
+    short file endless.
+    """
+
+    def __init__(self, db: sqlite3.Connection, path: str) -> None:
+        self._path = path
+        self._steps = 0
+        db.set_progress_handler(self._count, STEPS_BETWEEN)
+
+    def begin(self) -> None:
+        """Another question."""
+        self._steps = 0
+
+    def _count(self) -> bool:
+        """Whether the question is to end."""
+        self._steps += STEPS_BETWEEN
+        return self._steps > STEPS and self._steps > STEPS + STEPS_PER_BYTE * _size(self._path)
+
+
+def _size(path: str) -> int:
+    """Bytes of a file with its log; 0 if there is none."""
+    n_byte = 0
+    for file in () if path == MEMORY else (path, f"{path}-wal"):
+        with suppress(OSError, ValueError):  # the latter: no path can have such a name
+            n_byte += Path(file).stat().st_size
+    return n_byte
+
+
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     """Open a file and look what it is; nothing is written to it. Raises BadInput, StoreFailed."""
+    if not read_only and _size(path):  # a writer who closes a file puts its log into it, also if he refuses it
+        connect(path, read_only=True).close()
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
     db = None
     try:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None, check_same_thread=False)
+        _distrust(db)
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
     except (sqlite3.Error, UnicodeDecodeError, Failure) as error:  # SQLite quotes what it finds, whatever it is
@@ -117,6 +158,19 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
             return connect(path, read_only=True)
         raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
     return db
+
+
+def _distrust(db: sqlite3.Connection) -> None:
+    """Let what a file's schema says do as little as SQLite can be told to.
+
+    Before Python 3.12 there is no defensive mode. It keeps statements from changing a schema by other ways than its
+    own; no statement of ours does, and a foreign schema, which could, is refused.
+    """
+    db.execute("PRAGMA trusted_schema=OFF")
+    db.execute("PRAGMA cell_size_check=ON")
+    db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
+    if sys.version_info >= (3, 12):
+        db.setconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE, True)
 
 
 def _roll_back(path: str) -> None:
@@ -156,6 +210,8 @@ def has_room(path: str) -> bool:
 
 def failure(path: str, error: Exception) -> StoreFailed:
     """What SQLite says of a file in use."""
+    if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
+        return StoreFailed(printable(f"{path}: a question took more steps than so many bytes can need: it is damaged"))
     return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
 
 
@@ -185,7 +241,30 @@ def _version(db: sqlite3.Connection, path: str) -> int:
         raise BadInput(f"{path}: a database of something else, no store of runs")
     if version != SCHEMA_VERSION:
         raise BadInput(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+    if (found := _foreign(db)) is not None:
+        kind, name = found
+        text = f"{path}: {kind} {name!r} is not as version {version} makes it; a store has its own tables, unchanged"
+        raise BadInput(f"{printable(text)}. Nothing was read; use another copy of the file")
     return int(version)
+
+
+def _foreign(db: sqlite3.Connection) -> tuple[str, str] | None:
+    """Kind and name of what is not as this version makes it, or is missing; what can act comes first. None: nothing."""
+    there, own = _schema(db), _own_schema()
+    differs = [(str(kind), str(name)) for kind, name, *_ in there ^ own]
+    return min(differs, key=lambda found: (_ACTING.find(found[0]), found[1]), default=None)
+
+
+def _schema(db: sqlite3.Connection) -> frozenset[tuple[str, str, str, str | None]]:
+    return frozenset(db.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 1000"))
+
+
+@cache
+def _own_schema() -> frozenset[tuple[str, str, str, str | None]]:
+    with closing(sqlite3.connect(MEMORY)) as db:
+        for statement in _TABLES.split(";"):
+            db.execute(statement)
+        return _schema(db)
 
 
 def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
