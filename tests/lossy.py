@@ -33,8 +33,8 @@ class LossyFrontEnd:
         rows = np.isin(scan.nus, kept)
         return replace(scan, **{name: getattr(scan, name)[rows] for name in COLUMNS})
 
-    def truth(self) -> GroundTruth:
-        return self._simulated.truth()
+    def truth(self, t: int) -> GroundTruth:
+        return self._simulated.truth(t)
 
     def close(self) -> None:
         self._simulated.close()

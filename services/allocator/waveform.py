@@ -11,7 +11,7 @@ from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unc
 from cogradar.shared.power.rules import Emission, Requests, power_rule
 from cogradar.shared.power.search import search_directions, search_power
 from cogradar.shared.protocol.messages import Plan, Waveform
-from cogradar.shared.protocol.orders import Order, SectorSearch, looks, power_share, searches
+from cogradar.shared.protocol.orders import Order, SectorSearch, is_paused, looks, power_share, searches
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
@@ -79,13 +79,17 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
             powers = np.zeros(searched.size)
             np.add.at(powers, place, np.append(of_search, of_looks))
             power += float(of_looks.sum())
-        roster = roster_of(radar, update, searched, power, next_search)
+        shown = 0.0 if is_paused(orders) else power
+        roster = roster_of(radar, update, searched, shown, next_search)
     if requests is None:
         isotropic = array.power if strategy is Strategy.ORTHOGONAL else 0.0
         sent = _nothing(array.n_tx, isotropic, np.empty((0, 1)), "optimal")
     else:
         sent = power_rule(strategy)(_with_power(radar, array.power - power) if power else radar, requests)
     sent = _with_unlit(sent, [plan.target for plan in lit], served)
+    if is_paused(orders):  # beams say what would be asked for, and is not measured; in an acquisition the radar knows
+        silent = _nothing(array.n_tx, 0.0, sent.nus, sent.status)
+        return _message(radar, update, served, silent, roster, orders)
     if searched.size:
         sent = sent._replace(factor=np.hstack((sent.factor, beam_factor(searched, powers, array.n_tx))))
     else:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.delivery.pacing import ORDER_S, Pacing
 from cogradar.shared.protocol.messages import Command, Refused
 from cogradar.shared.protocol.orders import (
     MAX_LOOKS,
@@ -15,7 +15,9 @@ from cogradar.shared.protocol.orders import (
     EndRun,
     Look,
     Order,
+    Pause,
     PowerLimit,
+    Resume,
     SectorSearch,
     dropped,
     in_force,
@@ -26,9 +28,9 @@ from cogradar.shared.protocol.orders import (
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 
-# Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a limit that is to take effect at once,
-# and for whatever is to take effect at once.
-FOR_END, FOR_LIMITS, FOR_NOW = 1, 15, 8
+# Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a pause or its end and for a limit that
+# are to take effect at once, and for whatever is to take effect at once.
+FOR_END, FOR_PAUSES, FOR_LIMITS, FOR_NOW = 1, 16, 15, 8
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class Moment:
     acknowledged_k: int
     last_k: int  # dwell, if it goes on to its end
     tracks: Collection[int]  # that are there
+    is_acquiring: bool  # a known number of targets: the dwell after the newest one may wait until it is measured
 
 
 class OrderBook:
@@ -53,7 +56,8 @@ class OrderBook:
 
         Raises Refused, whose text is for those who asked.
         """
-        first_k = self._pacing.first_ordered(at.newest_k, at.acknowledged_k)
+        notice_s = 0.0 if at.is_acquiring else ORDER_S
+        first_k = self._pacing.first_ordered(at.newest_k, at.acknowledged_k, notice_s)
         order = Order(n=n, k=max(first_k, command.at), action=command.action)
         last_k = min([at.last_k, *(other.k - 1 for other in self.orders if isinstance(other.action, EndRun))])
         if order.k > last_k:
@@ -89,7 +93,7 @@ class OrderBook:
     def _check(self, order: Order, tracks: Collection[int], *, is_later: bool) -> None:
         """Raises Refused for an order that makes no sense; one for later may be of a track that is still to come."""
         match order.action:
-            case PowerLimit() | EndRun():
+            case PowerLimit() | Pause() | Resume() | EndRun():
                 pass
             case DropTrack():
                 self._needs_roster(order.action)
@@ -129,6 +133,8 @@ def _is_replaced(pending: Order, new: Order) -> bool:
             return pending.k >= new.k
         case PowerLimit():
             return pending.k == new.k and isinstance(pending.action, PowerLimit)
+        case Pause() | Resume():
+            return pending.k == new.k and isinstance(pending.action, Pause | Resume)
         case SectorSearch():
             other = pending.action
             return pending.k == new.k and isinstance(other, SectorSearch) and new.action.contains(other)
@@ -140,6 +146,8 @@ def _kept_free(new: Order, *, is_now: bool) -> int:
     """How many of MAX_ORDERS must be left for what is more urgent than this order."""
     if isinstance(new.action, EndRun):
         return 0
-    if is_now and isinstance(new.action, PowerLimit):
+    if is_now and isinstance(new.action, Pause | Resume):
         return FOR_END
-    return FOR_END + FOR_LIMITS + (0 if is_now else FOR_NOW)
+    if is_now and isinstance(new.action, PowerLimit):
+        return FOR_END + FOR_PAUSES
+    return FOR_END + FOR_PAUSES + FOR_LIMITS + (0 if is_now else FOR_NOW)

@@ -71,7 +71,7 @@ class Lockstep:
         """Whether a waveform may be made so many dwells ahead of the journal: later ones may be under other orders."""
         return ahead < MAX_AHEAD_DWELLS
 
-    def first_ordered(self, _newest_k: int, acknowledged_k: int) -> int:
+    def first_ordered(self, _newest_k: int, acknowledged_k: int, _notice_s: float) -> int:
         """The first dwell that a command can shape.
 
         No dwell from there on is answered before a checkpoint beyond the acknowledged one has come, and each such
@@ -164,9 +164,12 @@ class RealTime:
         """Whether a waveform may be made so many dwells ahead of the journal: the radar does not wait."""
         return True
 
-    def first_ordered(self, newest_k: int, _acknowledged_k: int) -> int:
-        """The first dwell that a command is meant to shape; a waveform says which orders it obeys."""
-        return newest_k + 1 + math.ceil(ORDER_S / self.period_s)
+    def first_ordered(self, newest_k: int, _acknowledged_k: int, notice_s: float) -> int:
+        """The first dwell that a command is meant to shape; a waveform says which orders it obeys.
+
+        notice_s : from the command to that dwell
+        """
+        return newest_k + 1 + math.ceil(notice_s / self.period_s)
 
     def may_coast(self, waited: int) -> bool:
         """Whether a track goes on without a scan, having waited for it so many dwells."""

@@ -34,13 +34,14 @@ from cogradar.services.emulator.front_end import (
 from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
-from cogradar.shared.protocol.orders import Order, ends, in_force, power_share
+from cogradar.shared.protocol.orders import Order, ends, in_force, is_paused, power_share
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.scan import Detections, Strongest
 from cogradar.shared.wire.meter import Measures
 
+PAUSED = "transmission is paused"
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 MAX_REASON = 500  # characters of a RunEnd's reason
 
@@ -309,10 +310,11 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     While targets are acquired in real time, a dwell in which nothing was measured is none: the acquisition has no
     dwell to spare. As many more as it has are sent all the same, now and then, so that all are told of the fault.
     """
-    most = run.radar.array.power * power_share(in_force(run.orders, k))
-    asked = limited(transmission(run.radar, waveform), most)  # an allocator that is away knows no new limit
+    asked = _asked(run, k, waveform)
     is_tracking = run.is_tracking(waveform)
-    measured = run.front_end.transmit(k, (run.t, run.t + is_tracking), asked, now_s)
+    measured: ScanData | None = ScanData.not_measured(PAUSED)  # its front end is left alone
+    if asked.power > 0.0:
+        measured = run.front_end.transmit(k, (run.t, run.t + is_tracking), asked, now_s)
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
@@ -322,26 +324,44 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
         scan = _scan(run, k, run.front_end.refuse(scan, now_s), waveform, asked)
     if isinstance(scan, str):
         raise FrontEndError(scan)
-    n_unmeasured = 0 if scan.unmeasured is None else scan.unmeasured.size
-    n_measured = np.unique(scan.bins if scan.nus is None else scan.nus).size  # a look may have several rows
-    run.front_end.note(n_measured, n_unmeasured, scan.fault, now_s)
+    if asked.power > 0.0:
+        _note(run, scan, now_s)
     if scan.t == 0:
         limit = threshold(run.radar.detector.p_fa)
         run.strongest = Strongest.of(Detections.of(vars(scan), run.radar.array.n_bin, limit), run.strongest)
     if scan.t == 0 and not scan.bins.size:
-        run.unmeasured, run.last_fault = run.unmeasured + 1, run.front_end.fault
+        run.unmeasured, run.last_fault = run.unmeasured + 1, scan.fault or run.front_end.fault
         if run.pacing.loses_dwells:
             if now_s < run.say_s or run.said >= run.radar.acquisition.max_scans:
                 return ()
             run.said, run.say_s = run.said + 1, now_s + SAY_S
     run.t = scan.t
-    truth = run.front_end.truth()
+    return _with_truth(run, scan, waveform)
+
+
+def _asked(run: _Run, k: int, waveform: Waveform | None) -> Transmission:
+    """What orders let be radiated in a dwell: an allocator that is away knows no new one."""
+    orders = in_force(run.orders, k)
+    most = 0.0 if is_paused(orders) else run.radar.array.power * power_share(orders)
+    return limited(transmission(run.radar, waveform), most)
+
+
+def _with_truth(run: _Run, scan: Scan, waveform: Waveform | None) -> Sequence[Message]:
+    """The messages of a dwell. Raises FrontEndError."""
+    truth = run.front_end.truth(scan.t)
     if truth is None:
         return (scan,)
     try:
         return (scan, truth_message(scan, truth, waveform))  # the loop waits for the scan
     except (AttributeError, TypeError, ValueError) as error:
         raise FrontEndError(fault_line(f"truth: {error}")) from error
+
+
+def _note(run: _Run, scan: Scan, now_s: float) -> None:
+    """Count what the front end came to in a dwell."""
+    n_unmeasured = 0 if scan.unmeasured is None else scan.unmeasured.size
+    n_measured = np.unique(scan.bins if scan.nus is None else scan.nus).size  # a look may have several rows
+    run.front_end.note(n_measured, n_unmeasured, scan.fault, now_s)
 
 
 def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, asked: Transmission) -> Scan | str:

@@ -67,11 +67,11 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     n_look = array.n_bin if isotropic > 0.0 else roster.searched.size
     p_fa = alert_p_fa(n_look) if radar.is_unknown else radar.detector.p_fa
     places: set[_Place] = set()
-    if isotropic > 0.0:
-        directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
-        places = {_Place(nu, ALL_RANGES, p_fa, directions.size // array.n_bin) for nu in directions.tolist()}
     if isotropic == 0.0 or (radar.is_unknown and factor.shape[1] > 0):
-        places |= _of_beams(radar, (beams, nus, gates), roster, p_fa)
+        places = _of_beams(radar, (beams, nus, gates), roster, p_fa)
+    if isotropic > 0.0 or not places:  # none: in a pause of a radar without beams
+        directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
+        places |= {_Place(nu, ALL_RANGES, p_fa, directions.size // array.n_bin) for nu in directions.tolist()}
     looks = _looks(radar, sorted(places))
     bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
@@ -79,7 +79,7 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
 
 def limited(asked: Transmission, most: float) -> Transmission:
     """A transmission with at most this power: all of it is scaled."""
-    power = asked.isotropic + float(np.sum(np.abs(asked.factor) ** 2))
+    power = asked.power
     if power <= most * (1.0 + POWER_TOLERANCE):
         return asked
     share = most / power
@@ -141,7 +141,7 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
         raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
     if not waveform.tracking and waveform.isotropic == 0.0:
         raise Refused("an acquisition waveform must light up every cell")
-    if waveform.isotropic == 0.0 and not roster_of(waveform).searched.size and (waveform.beams == -1).all():
+    if 0.0 == waveform.isotropic < power and not roster_of(waveform).searched.size and (waveform.beams == -1).all():
         raise Refused("a waveform must light up some cell: a scan has one at least")
     check_directions(waveform.beams, waveform.nus, radar)
 

@@ -78,6 +78,11 @@ class Transmission:
     gates: NDArray[np.float64]  # (M, 2) ranges to be tested for each track, km; (0, 0): all
 
     @property
+    def power(self) -> float:
+        """All of it; 0: nothing is radiated."""
+        return self.isotropic + float(np.sum(np.abs(self.factor) ** 2))
+
+    @property
     def range_cells(self) -> list[int]:
         """Numbers of the range cells that some look tests, ascending; without range cells NO_RANGE alone."""
         return LookTable.of(self.looks).range_cells()
@@ -224,7 +229,7 @@ class FrontEnd(Protocol):
     Dwells come in order. After the process was restarted, or its recorder has lost the newest part of the journal, a
     new front end is opened and goes on at the dwell after the acknowledged ones: dwell k may then be transmitted
     again. Hardware cannot go back; it transmits dwell k again and measures it anew. Its readers keep the measurement
-    that reached them first.
+    that reached them first. While transmission is paused by a command, dwells are passed over.
 
     One with a `prepare() -> bool` (`Preparing` of wire.runner) may do a part of the next dwell's work while the
     loop computes the next waveform.
@@ -257,8 +262,8 @@ class GroundTruth(NamedTuple):
 class KnowsTruth(Protocol):
     """A front end that also knows where the targets are: a simulated one. Scores need it, nothing else does."""
 
-    def truth(self) -> GroundTruth:
-        """The truth of the dwell that was transmitted last."""
+    def truth(self, t: int) -> GroundTruth:
+        """The truth at clock t: of the dwell that was transmitted last, or of one after it without transmission."""
 
 
 OpenFrontEnd = Callable[[EmulatorCheckpoint], FrontEnd]  # raises FrontEndError

@@ -72,10 +72,10 @@ class KeptOpen:
             self._fail(error, self._now_s)
             return False
 
-    def truth(self) -> GroundTruth | None:
-        """Where the targets were in the dwell that was transmitted last; None: unknown. Raises FrontEndError."""
+    def truth(self, t: int) -> GroundTruth | None:
+        """Where the targets were at clock t, of the newest dwell; None: unknown. Raises FrontEndError."""
         try:
-            return self._open.truth() if isinstance(self._open, KnowsTruth) else None
+            return self._open.truth(t) if isinstance(self._open, KnowsTruth) else None
         except Interrupted:
             raise
         except Exception as error:  # scores would lack dwells

@@ -41,15 +41,15 @@ class SimulatedFrontEnd:
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Let the targets fly until t, and measure. They stand still during acquisition."""
-        while self._scene.t < t:
-            self._scene.move()
+        self._fly(t)
         measured = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.looks)
         self._k, self._is_prepared = k + 1, False
         self._likely = self._scene.drawn if waveform.isotropic == 0.0 else []
         return ScanData.of_looks(measured)
 
-    def truth(self) -> GroundTruth:
-        """The truth of the last dwell."""
+    def truth(self, t: int) -> GroundTruth:
+        """The truth at clock t, of the last dwell, also if it was not transmitted."""
+        self._fly(t)
         scene = self._scene
         present = scene.present
         return GroundTruth(
@@ -58,6 +58,11 @@ class SimulatedFrontEnd:
             np.where(present, scene.snr_db, 0.0),
             np.where(present, scene.heights_km, 0.0),
         )
+
+    def _fly(self, t: int) -> None:
+        while self._scene.t < t:
+            self._scene.move()
+            self._is_prepared = False
 
     def prepare(self) -> bool:
         """Let the targets fly and draw the noise of the next dwell, once; results do not depend on it."""

@@ -137,7 +137,10 @@ class RecordedRun:
             - self.t
             + (0 if self._radar.is_unknown or self.t else 2 * self._radar.acquisition.max_scans)
         )
-        at = Moment(self.k if newest is None else newest, self.acknowledged[0], self.k + left - 1, tracks)
+        t = self.t if newest is None else self._dwells[newest].t
+        is_acquiring = t == 0 and not self._radar.is_unknown
+        newest_k = newest if newest is not None else self.k - is_acquiring
+        at = Moment(newest_k, self.acknowledged[0], self.k + left - 1, tracks, is_acquiring)
         return self.orders.grant(command, n, at)
 
     def validate(self, journalled: tuple[int, ...]) -> None:

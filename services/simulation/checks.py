@@ -11,7 +11,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.messages import Message, RunStart, Waveform
-from cogradar.shared.protocol.orders import Order, in_force, power_share
+from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
 SLACK = 0.2  # of a period that a dwell may come later than it is due
@@ -49,7 +49,8 @@ def check_power(
     orders = {run: [order for order in commands if order is not None] for run, commands in given.items()}
     for dwell in radiated:
         power = dwell.isotropic + float(np.sum(np.abs(np.frombuffer(dwell.factor, np.complex64)) ** 2))
-        limit = limits[dwell.run] * power_share(in_force(orders[dwell.run], dwell.k))
+        there = in_force(orders[dwell.run], dwell.k)
+        limit = 0.0 if is_paused(there) else limits[dwell.run] * power_share(there)
         if not power <= limit * (1.0 + TOLERANCE):
             raise Violated(f"{dwell.run}: dwell {dwell.k} with power {power:g}, at most {limit:g}")
 

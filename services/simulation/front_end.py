@@ -43,20 +43,22 @@ class WatchedFrontEnd:
 
     def __init__(self, checkpoint: EmulatorCheckpoint, watch: Watch, faults: ReceiverFaults) -> None:
         self._checkpoint, self._watch, self._faults = checkpoint, watch, faults
-        self._truth: GroundTruth | None = None
+        self._known: tuple[int, GroundTruth] | None = None  # the truth at a clock
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Transmit dwell k and measure."""
         self._watch(self._checkpoint.run, k, t, waveform)
         start = self._checkpoint
-        scan, self._truth = simulated(start.world, start.radar, start.world_seed, k, t, waveform)
+        scan, truth = simulated(start.world, start.radar, start.world_seed, k, t, waveform)
+        self._known = t, truth
         return self._faults.measured(start, k, scan)
 
-    def truth(self) -> GroundTruth:
-        """The truth of the dwell that was transmitted last."""
-        if self._truth is None:
-            raise ValueError("nothing was transmitted")
-        return self._truth
+    def truth(self, t: int) -> GroundTruth:
+        """The truth at clock t."""
+        if self._known is None or self._known[0] != t:
+            start = self._checkpoint
+            self._known = t, _opened(start.world, start.radar, start.world_seed, 0, t).truth(t)
+        return self._known[1]
 
     def close(self) -> None:
         """There is nothing to switch off."""
@@ -66,7 +68,12 @@ def simulated(
     world: dict[str, object] | None, radar: dict[str, object], seed: int, k: int, t: int, waveform: Transmission
 ) -> tuple[ScanData, GroundTruth]:
     """Scan and truth of a dwell."""
+    front_end = _opened(world, radar, seed, k, t)
+    return front_end.transmit(k, t, waveform), front_end.truth(t)
+
+
+def _opened(world: dict[str, object] | None, radar: dict[str, object], seed: int, k: int, t: int) -> SimulatedFrontEnd:
+    """The world at clock t of dwell k."""
     scene = {"radar": radar, "seed": 0, "world": world, "world_seed": seed}
     settings = {"run": "r", "strategy": "orthogonal", "dwells": 1}
-    front_end = SimulatedFrontEnd.open(EmulatorCheckpoint.model_validate(settings | scene | {"k": k, "t": t}))
-    return front_end.transmit(k, t, waveform), front_end.truth()
+    return SimulatedFrontEnd.open(EmulatorCheckpoint.model_validate(settings | scene | {"k": k, "t": t}))

@@ -36,7 +36,7 @@ _TYPES: dict[str, tuple[Any, str]] = {
     ),
     "limit": (Annotated[int, Field(ge=1, le=MAX_ROWS)], f"Rows of a page; {MAX_ROWS} if left out."),
     "offset": (Annotated[int, Field(ge=0, lt=2**53)], "Rows before the page."),
-    "state": (Literal["open"], "Only commands that are in force or will be: at most 64 of a run."),
+    "state": (Literal["open"], "Only commands that are in force or will be: at most 80 of a run."),
     "dwell": (Annotated[int, Field(ge=1, le=_MAX_DWELL)], "This dwell; the newest if left out."),
     "name": (RunId, "Of a file of the page."),
     "last_event_id": (

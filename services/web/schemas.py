@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field, create_model
 
 from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from cogradar.shared.protocol.fields import RunId
-from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS
+from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS, MAX_PAUSE_DWELLS
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -219,6 +219,19 @@ class DropDocument(Document):
     track: int = Field(ge=1, lt=2**31)
 
 
+class PauseDocument(Document):
+    """Radiate nothing, for some dwells or until transmission is resumed."""
+
+    kind: Literal["pause"]
+    dwells: int | None = Field(default=None, ge=1, le=MAX_PAUSE_DWELLS, description="Null: until it is resumed.")
+
+
+class ResumeDocument(Document):
+    """End a pause."""
+
+    kind: Literal["resume"]
+
+
 class EndDocument(Document):
     """End the run, complete with the dwells before."""
 
@@ -229,7 +242,8 @@ class CommandDocument(Document):
     """What is asked of a run."""
 
     action: Annotated[
-        PowerDocument | SectorDocument | LookDocument | DropDocument | EndDocument, Field(discriminator="kind")
+        PowerDocument | SectorDocument | LookDocument | DropDocument | PauseDocument | ResumeDocument | EndDocument,
+        Field(discriminator="kind"),
     ]
     at: int = Field(default=0, ge=0, lt=2**31, description="Not before this dwell, counted from 0.")
 

@@ -18,10 +18,11 @@ from cogradar.shared.protocol.fields import Index
 from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.scenario.faults import explain
 
-MAX_ORDERS = 64  # of a run that are in force, or will be
+MAX_ORDERS = 80  # of a run that are in force, or will be
 MAX_LOOKS = 0.5  # of the power, for all looks of a dwell that were asked for
 LEAST_POWER = 0.01
 MAX_LOOK_DWELLS = 100_000
+MAX_PAUSE_DWELLS = 2**31 - 1
 Bearing = Annotated[float, Field(ge=-90.0, le=90.0)]  # degrees from boresight, to the side of positive y
 
 
@@ -94,13 +95,26 @@ class DropTrack(Compared):
     track: Index
 
 
+class Pause(Compared):
+    """Radiate nothing, for some dwells or until transmission is resumed. Dwells go on, and nothing is measured."""
+
+    kind: Literal["pause"] = "pause"
+    dwells: Annotated[int, Field(ge=1, le=MAX_PAUSE_DWELLS)] | None = None  # None: until it is resumed
+
+
+class Resume(Compared):
+    """End a pause."""
+
+    kind: Literal["resume"] = "resume"
+
+
 class EndRun(Compared):
     """End the run, complete with the dwells before."""
 
     kind: Literal["end"] = "end"
 
 
-Action = Annotated[PowerLimit | SectorSearch | Look | DropTrack | EndRun, Field(discriminator="kind")]
+Action = Annotated[PowerLimit | SectorSearch | Look | DropTrack | Pause | Resume | EndRun, Field(discriminator="kind")]
 
 
 class Order(Compared):
@@ -115,17 +129,23 @@ Orders = Annotated[list[Order], Field(max_length=MAX_ORDERS)]
 
 
 def in_force(orders: Iterable[Order], k: int) -> list[Order]:
-    """Limits, sectors and looks that shape dwell k, in the order in which they took effect.
+    """Limits, sectors, looks and pauses that shape dwell k, in the order in which they took effect.
 
-    A newer power limit replaces the older one, and a sector those that it contains. What is replaced for good, and what
-    changes nothing, is not in force.
+    A newer power limit replaces the older one, a pause the pause before, and a sector those that it contains. What is
+    replaced for good, and what changes nothing, is not in force.
     """
     begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
     limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
     looks = [order for order in begun if isinstance(order.action, Look) and k < order.k + order.action.dwells]
+    pauses = [order for order in begun if isinstance(order.action, Pause | Resume)][-1:]
     found = {order.n for order in [*looks, *_sectors(begun)]}
+    found |= {order.n for order in pauses if isinstance(order.action, Pause) and _lasts(order, order.action, k)}
     found |= {order.n for order in limits if isinstance(order.action, PowerLimit) and order.action.share < 1.0}
     return [order for order in begun if order.n in found]
+
+
+def _lasts(order: Order, pause: Pause, k: int) -> bool:
+    return pause.dwells is None or k < order.k + pause.dwells
 
 
 def is_over(order: Order, orders: Sequence[Order], k: int) -> bool:
@@ -149,6 +169,11 @@ def _sectors(begun: Iterable[Order]) -> list[Order]:
 def power_share(orders: Iterable[Order]) -> float:
     """Share of the array's power that orders in force allow."""
     return min((order.action.share for order in orders if isinstance(order.action, PowerLimit)), default=1.0)
+
+
+def is_paused(orders: Iterable[Order]) -> bool:
+    """Whether orders in force let nothing be radiated."""
+    return any(isinstance(order.action, Pause) for order in orders)
 
 
 def searches(orders: Iterable[Order], nus: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.int64]:
@@ -219,21 +244,26 @@ def text_of(action: Action) -> str:
             return f"look {_number(action.bearing_deg)} {action.dwells} {_number(action.share)}"
         case DropTrack():
             return f"drop {action.track + 1}"
+        case Pause():
+            return "pause" if action.dwells is None else f"pause {action.dwells}"
         case _:
-            return "end"
+            return action.kind
 
 
 def _number(value: float) -> str:
     return f"{value:g}" if float(f"{value:g}") == value else repr(value)
 
 
-# Of each kind: how it is written, and the fields of what is written, a number each but for the first of a sector.
-_Kind = type[PowerLimit] | type[SectorSearch] | type[Look] | type[DropTrack] | type[EndRun]
+# Of each kind: how it is written, and the fields of what is written, a number each but for the first of a sector. What
+# stands in brackets may be left out.
+_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Pause | Resume | EndRun]
 FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
     "power": (PowerLimit, "power SHARE", ("share",)),
     "sector": (SectorSearch, "sector blank|normal|double FROM TO", ("search", "from_deg", "to_deg")),
     "look": (Look, "look BEARING DWELLS SHARE", ("bearing_deg", "dwells", "share")),
     "drop": (DropTrack, "drop TRACK", ("track",)),
+    "pause": (Pause, "pause [DWELLS]", ("dwells",)),
+    "resume": (Resume, "resume", ()),
     "end": (EndRun, "end", ()),
 }
 
@@ -242,9 +272,9 @@ def parsed(words: Sequence[str]) -> Action:
     """The action that these words are. Raises ValueError."""
     kind, values = (words[0], words[1:]) if words else ("", ())
     _, form, names = _form(kind)
-    if len(values) != len(names):
+    if not len(names) - form.count("[") <= len(values) <= len(names):
         raise ValueError(f"{' '.join(words)}: must be {form}")
-    return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=True)})
+    return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=False)})
 
 
 def action_of(document: dict[str, Any]) -> Action:

@@ -71,10 +71,10 @@ class Detections(_Rows):
         return self._replace(**filled, nu_hats=np.insert(self.nu_hats, at, centres))
 
     def is_unmeasured(self, at: int) -> bool:
-        """Whether one of the looks that were made for the track in this row of `beams` was not measured."""
-        lit = self.beam_nus[at][self.beams[at] >= 0]
-        if self.unmeasured is None or not lit.size:
+        """Whether a look that was made for the track in this row of `beams` was not measured, or nothing was at all."""
+        if self.unmeasured is None:
             return False
+        lit = self.beam_nus[at][self.beams[at] >= 0]
         return self.nus.size == 0 or bool(np.isin(lit, self.unmeasured).any())
 
     def is_lost(self, ranges_km: Floats, width_km: float) -> NDArray[np.bool_]:

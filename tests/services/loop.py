@@ -1,5 +1,7 @@
 """The cores of one run, driven by hand: what the services' tests feed and compare."""
 
+from collections.abc import Sequence
+
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.emulator.front_end import OpenFrontEnd
@@ -7,6 +9,7 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
+from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -37,15 +40,17 @@ def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> E
     return checkpoint(smoke_start(strategy, dwells=dwells))
 
 
-def play(start: RunStart, open_front_end: OpenFrontEnd = SimulatedFrontEnd.open) -> list[Message]:
-    """Every message of a run, in the order sent: emulator, one planner, allocator."""
+def play(
+    start: RunStart, open_front_end: OpenFrontEnd = SimulatedFrontEnd.open, orders: Sequence[Order] = ()
+) -> list[Message]:
+    """Every message of a run under these orders, in the order sent: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
         Role.EMULATOR: EmulatorCore(open_front_end),
         Role.PLANNER: PlannerCore("p"),
         Role.ALLOCATOR: AllocatorCore(),
     }
     reads = {role: tuple(topic.message for topic in topics_read_by(role)) for role in cores}
-    said: list[Message] = [start, checkpoint(start)]
+    said: list[Message] = [start, checkpoint(start).model_copy(update={"orders": list(orders)})]
     for message in said:  # grows while it is read
         for role, core in cores.items():
             if isinstance(message, reads[role]):

@@ -7,52 +7,21 @@ import pytest
 
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.delivery import pacing
-from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.emulator.cycle import limited, transmission
-from cogradar.services.emulator.simulated import SimulatedFrontEnd
-from cogradar.services.planner.core import PlannerCore
-from cogradar.shared.protocol.messages import (
-    Checkpoint,
-    EmulatorCheckpoint,
-    Message,
-    Plan,
-    RunEnd,
-    RunStart,
-    Scan,
-    Waveform,
-)
+from cogradar.shared.protocol.messages import Message, RunEnd, RunStart, Scan, Waveform
 from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch, nu_of
 from cogradar.shared.protocol.roster import Roster
-from cogradar.shared.wire.runner import Core
 from tests.services.loop import checkpoint, plans, scans, smoke_start, waveforms
 from tests.services.loop import play as played
 from tests.skies import sky_start, small_sky
 
 K = 10
-READS: tuple[tuple[type[Message], ...], ...] = (
-    (EmulatorCheckpoint, Waveform),
-    (Checkpoint, Scan),
-    (Checkpoint, Scan, Plan),
-)
 BEAMS = "radar.search.beams=4"
-
-
-def _ordered(start: RunStart, *actions: Action) -> EmulatorCheckpoint:
-    orders = [Order(n=n, k=K, action=action) for n, action in enumerate(actions, 1)]
-    return checkpoint(start).model_copy(update={"orders": orders})
 
 
 def _played(start: RunStart, *actions: Action) -> list[Message]:
     """A run with these orders from dwell K on."""
-    first = _ordered(start, *actions)
-    cores: tuple[Core, ...] = EmulatorCore(SimulatedFrontEnd.open), PlannerCore("p"), AllocatorCore()
-    said: list[Message] = [first]
-    reads = dict(zip(cores, READS, strict=True))
-    for message in said:  # grows while it is read
-        for core, read in reads.items():
-            if isinstance(message, read):
-                said += [answer for answer in core.handle(message) if isinstance(answer, Message)]
-    return said
+    return played(start, orders=[Order(n=n, k=K, action=action) for n, action in enumerate(actions, 1)])
 
 
 def _power(sent: Waveform) -> float:

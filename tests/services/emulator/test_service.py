@@ -235,12 +235,12 @@ def test_a_measurement_that_makes_no_sense_counts_as_none(
 
 def test_a_run_whose_truth_cannot_be_had_ends_alone() -> None:
     class Knowing(Receiver):
-        def truth(self) -> GroundTruth:
-            raise ValueError("no truth now")
+        def truth(self, t: int) -> GroundTruth:
+            raise ValueError(f"no truth at {t}")
 
     (end,) = EmulatorCore(Knowing().open).handle(_begin())
     assert isinstance(end, RunEnd)
-    assert end.reason == "front end: truth: ValueError: no truth now"
+    assert end.reason == "front end: truth: ValueError: no truth at 0"
 
 
 def test_a_front_end_that_cannot_prepare_is_opened_again() -> None:

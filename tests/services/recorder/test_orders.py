@@ -12,7 +12,17 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart, Scan, Waveform, roster_of
-from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch
+from cogradar.shared.protocol.orders import (
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    Pause,
+    PowerLimit,
+    Resume,
+    SectorSearch,
+)
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, smoke_start
 from tests.skies import sky_start
@@ -85,6 +95,14 @@ def test_in_real_time_it_takes_effect_half_a_second_after_the_newest_dwell(smoke
     assert _orders(core.handle(_command(1, HALF)))[0].k == 4 + 1 + 5
 
 
+def test_in_real_time_a_command_acts_in_the_next_dwell_of_an_acquisition(smoke: list[Message]) -> None:
+    """There may never be a later one: what is not measured, as in a pause, is no dwell."""
+    _, core = _begun(smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0}))
+    assert _orders(core.handle(_command(1, Pause())))[0].k == 0
+    core.handle(next(one for one in smoke if isinstance(one, Scan)))
+    assert [one.k for one in _orders(core.handle(_command(2, Resume())))] == [0, 1]
+
+
 def test_orders_outlive_the_recorder_and_a_full_disk() -> None:
     journal, core = _begun(smoke_start(dwells=DWELLS))
     core.handle(_command(1, HALF))
@@ -155,6 +173,15 @@ def test_orders_that_wait_lock_out_neither_a_sector_nor_a_limit_nor_the_end() ->
     said = _orders(core.handle(_command(200, EndRun(), at=390)))
     assert said[-1].action == EndRun()
     assert len(said) == last + 3
+
+
+def test_a_pause_and_its_end_find_room_where_no_limit_does() -> None:
+    limits = [Order(n=n, k=5 + n, action=HALF) for n in range(1, 64)]
+    run = RecordedRun(smoke_start(dwells=DWELLS), orders=limits)
+    with pytest.raises(Refused, match="63 orders are in force or pending"):
+        run.grant(_command(70, HALF), 70)
+    paused, _ = run.grant(_command(71, Pause()), 71)
+    assert run.grant(_command(72, Resume()), 72)[1] == [paused]  # of the same dwell
 
 
 def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_twice() -> None:

@@ -184,7 +184,9 @@ def test_a_command_shapes_the_same_dwells_whoever_dies_around_it(who: str, check
 
 def test_an_order_that_is_effective_too_early_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the next dwell on that is not acknowledged: some process has come to it already, and another has not."""
-    monkeypatch.setattr(Lockstep, "first_ordered", lambda _self, _newest_k, acknowledged_k: acknowledged_k + 1)
+    monkeypatch.setattr(
+        Lockstep, "first_ordered", lambda _self, _newest_k, acknowledged_k, _notice_s: acknowledged_k + 1
+    )
     drawn = [schedule for seed in range(450, 530) if (schedule := Schedule.draw(seed)).commands]
     assert any(play(schedule).violation for schedule in drawn)
 

@@ -14,13 +14,16 @@ from cogradar.shared.protocol.orders import (
     EndRun,
     Look,
     Order,
+    Pause,
     PowerLimit,
+    Resume,
     SectorSearch,
     action_of,
     dropped,
     ends,
     in_force,
     is_over,
+    is_paused,
     looks,
     nu_of,
     parsed,
@@ -36,6 +39,7 @@ SECTORS = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES), st.sampled_f
 ACTIONS: st.SearchStrategy[Action] = st.one_of(
     st.sampled_from((0.5, 0.7, 1.0)).map(lambda share: PowerLimit(share=share)),
     SECTORS.filter(lambda s: s[0] < s[1]).map(lambda s: SectorSearch(from_deg=s[0], to_deg=s[1], search=s[2])),
+    st.sampled_from((Pause(), Pause(dwells=3), Resume())),
     st.integers(1, 9).map(lambda dwells: Look(bearing_deg=10.0, dwells=dwells, share=0.1)),
 )
 GIVEN = st.lists(st.tuples(st.integers(0, 20), ACTIONS), max_size=12).map(
@@ -54,7 +58,7 @@ def test_orders_that_are_over_may_be_left_out(given_: list[Order], k: int, later
 def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order], k: int) -> None:
     """One after the other, without leaving anything out."""
     begun = sorted((order for order in given_ if order.k <= k), key=lambda order: (order.k, order.n))
-    share, times, seen = 1.0, np.ones(NUS.size, int), list[Look]()
+    share, times, seen, paused_until = 1.0, np.ones(NUS.size, int), list[Look](), 0
     for order in begun:
         match order.action:
             case PowerLimit():
@@ -62,6 +66,10 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
             case SectorSearch():
                 low, high = (nu_of(edge) for edge in (order.action.from_deg, order.action.to_deg))
                 times[(low <= NUS) & (high >= NUS)] = {"blank": 0, "normal": 1, "double": 2}[order.action.search]
+            case Pause():
+                paused_until = order.k + (order.action.dwells or 100)
+            case Resume():
+                paused_until = 0
             case Look() if k < order.k + order.action.dwells:
                 seen.append(order.action)
             case _:
@@ -70,6 +78,7 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
         times[[0, -1]] = 0
     there = in_force(given_, k)
     assert power_share(there) == share
+    assert is_paused(there) == (k < paused_until)
     assert searches(there, NUS).tolist() == times.tolist()
     is_blanked = not searches(there, np.array([nu_of(10.0)]))[0]
     assert looks(there) == ([] if is_blanked else seen)
@@ -107,6 +116,9 @@ def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
         ("sector blank -20.5 10", SectorSearch(from_deg=-20.5, to_deg=10, search="blank")),
         ("look 12.123456789 20 0.2", Look(bearing_deg=12.123456789, dwells=20, share=0.2)),
         ("drop 3", DropTrack(track=2)),
+        ("pause", Pause()),
+        ("pause 20", Pause(dwells=20)),
+        ("resume", Resume()),
         ("end", EndRun()),
     ],
 )
@@ -129,6 +141,9 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
         ("look 95 20 0.2", "bearing_deg = 95.0: must be"),
         ("drop 0", "track = 0: must be >= 1"),
         ("drop 1.5", "track = 1.5: must be a number"),
+        ("pause 0", "dwells = 0: must be"),
+        ("pause 2 3", "pause 2 3: must be pause [DWELLS]"),
+        ("resume 2", "resume 2: must be resume"),
     ],
 )
 def test_what_is_no_action_is_refused(text: str, fault: str) -> None:
