@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field, create_model
 
 from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from cogradar.shared.protocol.fields import RunId
-from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS, MAX_PAUSE_DWELLS
+from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS, MAX_PAUSE_DWELLS, forms
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -241,10 +241,13 @@ class EndDocument(Document):
 class CommandDocument(Document):
     """What is asked of a run."""
 
-    action: Annotated[
-        PowerDocument | SectorDocument | LookDocument | DropDocument | PauseDocument | ResumeDocument | EndDocument,
-        Field(discriminator="kind"),
-    ]
+    action: (
+        Annotated[
+            PowerDocument | SectorDocument | LookDocument | DropDocument | PauseDocument | ResumeDocument | EndDocument,
+            Field(discriminator="kind"),
+        ]
+        | Annotated[str, Field(description="; ".join(forms()))]
+    )
     at: int = Field(default=0, ge=0, lt=2**31, description="Not before this dwell, counted from 0.")
 
 

@@ -268,6 +268,11 @@ FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
 }
 
 
+def forms() -> list[str]:
+    """How each kind of action is written."""
+    return [form for _, form, _ in FORMS.values()]
+
+
 def parsed(words: Sequence[str]) -> Action:
     """The action that these words are. Raises ValueError."""
     kind, values = (words[0], words[1:]) if words else ("", ())
@@ -295,7 +300,7 @@ def _form(kind: object) -> tuple[_Kind, str, tuple[str, ...]]:
     """What a kind of action is made of. Raises ValueError."""
     if not isinstance(kind, str) or kind not in FORMS:
         raise ValueError(
-            f"action = {str(kind)[:40]!r}: must be one of {'; '.join(form for _, form, _ in FORMS.values())}"
+            f"action = {str(kind)[:40]!r}: must be one of {'; '.join(forms())}"
         )
     return FORMS[kind]
 

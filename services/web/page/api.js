@@ -16,12 +16,19 @@ export class Problem extends Error {
   }
 }
 
-export async function ask(path, signal = null) {
+export const ask = (path, signal = null) => request(path, {}, signal);
+
+// Sends a document, in the name of the owner of a token.
+export const post = (path, document, token) => request(path, {
+  method: "POST", body: JSON.stringify(document), headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+});
+
+async function request(path, { headers = {}, ...more }, signal = null) {
   const late = AbortSignal.timeout(ANSWER_MS);
   let response;
   let text;
   try {
-    response = await fetch(API + path, { signal: signal ? AbortSignal.any([signal, late]) : late, headers: { Accept: "application/json" } });
+    response = await fetch(API + path, { ...more, signal: signal ? AbortSignal.any([signal, late]) : late, headers: { Accept: "application/json", ...headers } });
     text = await response.text();
   } catch (error) {
     if (error.name === "AbortError") throw error;

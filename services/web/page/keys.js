@@ -10,9 +10,9 @@ export function listen(acts) {
   switched.checked = localStorage.getItem(KEPT_AS) !== "off";
   switched.addEventListener("change", () => localStorage.setItem(KEPT_AS, switched.checked ? "on" : "off"));
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.altKey || event.metaKey || byId("help").open) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || document.querySelector("dialog[open]")) return;
     const on = event.target.closest?.("input, select, textarea, button, a");
-    if (on?.matches("input[type=search], textarea")) return;
+    if (on?.matches("input:not([type=range], [type=checkbox]), textarea")) return;
     const isSlider = on?.matches("input[type=range]");
     if (on && event.key === " " && !isSlider) return;
     if (on?.matches("select") && (event.key.startsWith("Arrow") || /^\d$/.test(event.key))) return;

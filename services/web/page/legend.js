@@ -17,14 +17,27 @@ const MARKS = [
   ["false alarm", (c) => stroke(c, "warn", 2.5, () => { c.moveTo(-5, -5); c.lineTo(5, 5); c.moveTo(-5, 5); c.lineTo(5, -5); })],
   ["lost", (c) => stroke(c, "alarm", 3, () => c.arc(0, 0, 7, 0, TAU))],
 ];
-const OF_UNKNOWN = [
+// What is not in every run, by what makes it occur.
+const OCCURRING = {};
+OCCURRING.unknown = [
   ["tentative", (c) => { c.setLineDash([2.5, 2]); stroke(c, "muted", 1.25, () => trace(c, "circle", 0, 0, 5)); }],
   ["search beam", (c) => { c.setLineDash([3, 2]); stroke(c, "muted", 1, () => { c.moveTo(-8, 7); c.lineTo(2, -8); c.moveTo(-8, 7); c.lineTo(8, -3); }); }],
 ];
-
-const OF_JAMMERS = [
+OCCURRING.jammers = [
   ["jammer", (c) => stroke(c, "warn", 3, () => { c.moveTo(-6, 8); c.lineTo(4, -8); })],
   ["blind cell", (c) => { c.setLineDash([2, 2]); stroke(c, "warn", 5, () => c.arc(0, 12, 12, -2.1, -1)); }],
+];
+OCCURRING.unmeasured = [
+  ["cell not measured", (c) => { c.setLineDash([2, 4]); stroke(c, "alarm", 5, () => c.arc(0, 12, 12, -2.1, -1)); }],
+];
+OCCURRING.blank = [
+  ["blanked sector", (c) => stroke(c, "warn", 1.25, () => { for (const x of [-8, -3, 2]) { c.moveTo(x, 7); c.lineTo(x + 6, -7); } })],
+];
+OCCURRING.double = [
+  ["searched twice", (c) => stroke(c, "accent", 1.5, () => { c.arc(0, 12, 14, -2.1, -1); c.moveTo(5.5, 2); c.arc(0, 12, 10, -1, -2.1, true); })],
+];
+OCCURRING.look = [
+  ["commanded look", (c) => { c.setLineDash([6, 2, 1, 2]); stroke(c, "accent", 2, () => { c.moveTo(-6, 8); c.lineTo(4, -8); }); }],
 ];
 
 function stroke(context, name, width, path) {
@@ -35,9 +48,10 @@ function stroke(context, name, width, path) {
   context.stroke();
 }
 
-export function drawLegend(list, isUnknown, hasJammers) {
+// `occurred`: names of OCCURRING.
+export function drawLegend(list, occurred) {
   const ratio = window.devicePixelRatio || 1;
-  const marks = [...MARKS, ...(isUnknown ? OF_UNKNOWN : []), ...(hasJammers ? OF_JAMMERS : [])];
+  const marks = [...MARKS, ...Object.keys(OCCURRING).flatMap((name) => (occurred.has(name) ? OCCURRING[name] : []))];
   list.replaceChildren(...marks.map(([text, draw]) => {
     const item = document.createElement("li");
     const canvas = document.createElement("canvas");

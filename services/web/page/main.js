@@ -4,6 +4,7 @@ import { Alarms } from "./alarms.js";
 import { listen } from "./keys.js";
 import { isDark, onTheme, setTheme } from "./palette.js";
 import { Charts } from "./charts.js";
+import { Command } from "./command.js";
 import { Machines } from "./machines.js";
 import { Orders } from "./orders.js";
 import { Radar } from "./radar.js";
@@ -16,12 +17,13 @@ import { VIEWS, ZOOMS, link, onView, show, view } from "./view.js";
 const LOOK_MS = 3000; // for runs that begin
 
 const charts = new Charts((t) => session.player.seek(t));
-const radar = new Radar(charts);
+const orders = new Orders(() => radar.redraw());
+const command = new Command(() => radar.redraw());
+const radar = new Radar(charts, orders, command);
 const session = new Session(radar);
 const machines = new Machines();
 new Alarms(session);
 const runs = new Runs(listed);
-const orders = new Orders();
 
 function listed(rows, problem) {
   if (problem) {
@@ -102,6 +104,7 @@ function links() {
 
 onView((changed) => {
   const isRun = changed.includes("run");
+  if (isRun) orders.open(view.run);
   if (isRun && view.run !== null) session.open(view.run);
   if (view.run === null && (isRun || changed.includes("follows"))) runs.refresh();
   if (!isRun && changed.includes("dwell") && session.dwells) {
@@ -111,6 +114,7 @@ onView((changed) => {
   if (changed.includes("speed") && view.speed) session.setSpeed(view.speed);
   if (changed.includes("view") || isRun) views();
   else links();
+  if (isRun || changed.includes("target")) command.draw();
   radar.redraw();
 });
 
@@ -147,8 +151,9 @@ listen({
   " ": () => session.toggle(), ArrowLeft: (e) => seek(e.shiftKey ? -10 : -1), ArrowRight: (e) => seek(e.shiftKey ? 10 : 1),
   Home: () => session.player.seek(1), End: () => session.player.live(), l: () => session.player.live(),
   ",": () => session.faster(-1), ".": () => session.faster(1), digit: toTarget, j: () => target(1), k: () => target(-1),
-  Escape: () => show({ target: null, zoom: 1, particles: false }), "+": () => zoom(1), "-": () => zoom(-1),
-  0: () => show({ zoom: 1 }), p: particles, g: to("radar"), t: to("list"), m: to("machines"), r: to("runs"), d: theme,
+  Escape: () => (command.mode ? command.turn(null) : show({ target: null, zoom: 1, particles: false })), "+": () => zoom(1), "-": () => zoom(-1),
+  0: () => show({ zoom: 1 }), p: particles, c: () => command.toggle(),
+  s: () => command.aim("sector"), o: () => command.aim("look"), g: to("radar"), t: to("list"), m: to("machines"), r: to("runs"), d: theme,
   "?": () => byId("help").showModal(),
 });
 
@@ -160,9 +165,10 @@ function themed() {
 onTheme(themed);
 themed();
 views();
+orders.open(view.run);
 if (view.run !== null) session.open(view.run);
 runs.refresh();
 setInterval(() => {
-  if (!document.hidden) orders.watch(session.player.isRunning ? view.run : null);
+  if (!document.hidden) orders.watch(session.player.isRunning);
   if (!document.hidden && (view.view === "runs" || !session.player.isRunning)) runs.refresh();
 }, LOOK_MS);

@@ -4,6 +4,7 @@ import { states, TRAIL } from "./dwells.js";
 import { record, saveCanvas } from "./files.js";
 import { drawLegend } from "./legend.js";
 import { TrackList } from "./list.js";
+import { directions } from "./orders.js";
 import { degrees, headingOf, speedOf } from "./motion.js";
 import { color, onTheme } from "./palette.js";
 import { Particles } from "./particles.js";
@@ -18,18 +19,19 @@ import { show, view } from "./view.js";
 const READ_MS = 450; // numbers that change faster cannot be read
 
 export class Radar {
-  constructor(charts) {
-    Object.assign(this, { charts, radar: null, dwells: null, dwell: null, drawn: null, due: 0, began: null, read: 0 });
+  constructor(charts, orders, command) {
+    Object.assign(this, { charts, orders, command, radar: null, dwells: null, dwell: null, drawn: null, due: 0, began: null, read: 0, occurred: new Set() });
     this.scope = new Scope(byId("scope"));
     this.tracks = new Tracks((target) => show({ target: target === view.target ? null : target }));
     this.list = new TrackList();
     this.particles = new Particles(() => this.redraw());
     this.all = new AirPicture();
     byId("scope").addEventListener("click", (event) => {
+      if (this.isForCommand) return;
       const target = this.scope.at(event.offsetX, event.offsetY);
       show({ target: target === view.target ? null : target });
     });
-    byId("scope").addEventListener("pointermove", (event) => this.point(event));
+    for (const kind of ["down", "move", "up"]) byId("scope").addEventListener(`pointer${kind}`, (event) => this.point(event, kind));
     byId("scope").addEventListener("pointerleave", () => put(byId("pointer"), ""));
     new ResizeObserver(() => this.redraw()).observe(byId("scope"));
     onTheme(() => {
@@ -39,12 +41,21 @@ export class Radar {
     this.legend();
   }
 
-  legend() {
-    drawLegend(byId("legend"), this.radar?.is_unknown, (this.radar?.jammers ?? []).length > 0);
+  // What has occurred in this run stays in the legend.
+  legend(dwell = null, told = null) {
+    if (dwell?.cells?.unmeasured?.length) this.occurred.add("unmeasured");
+    for (const { search } of told?.sectors ?? []) this.occurred.add(search);
+    if (told?.looks.length) this.occurred.add("look");
+    if (this.radar?.is_unknown) this.occurred.add("unknown");
+    if (this.radar?.jammers?.length) this.occurred.add("jammers");
+    const key = [...this.occurred].join(" ");
+    if (dwell && key === this.legendOf) return;
+    this.legendOf = key;
+    drawLegend(byId("legend"), this.occurred);
   }
 
   open(radar, dwells) {
-    Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
+    Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null, occurred: new Set() });
     clearTimeout(this.trailing);
     this.tracks.clear(radar);
     this.list.open(radar);
@@ -81,6 +92,8 @@ export class Radar {
     if (dwell) this.range = rangeOf(radar, dwell, this.range);
     const range = this.range ?? radar?.max_range_km;
     const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
+    picture.told = { ...directions(this.orders.of(dwell)), asked: this.command.asked };
+    this.legend(dwell, picture.told);
     if (isList && dwell) this.detail(picture);
     if (isList) return;
     this.scope.draw(picture);
@@ -118,9 +131,11 @@ export class Radar {
   }
 
   // What is under the pointer: where it is, and how the track there flies.
-  point({ offsetX, offsetY }) {
+  point({ offsetX, offsetY }, kind) {
     const place = this.radar && this.scope.placeAt(offsetX, offsetY);
-    if (!place) return;
+    const isForCommand = this.command.pointed(kind, place?.angle ?? null);
+    if (kind === "up") this.isForCommand = isForCommand; // and not to choose a target
+    if (!place || kind !== "move") return;
     const one = this.dwell?.targets.find((found) => found.target === this.scope.at(offsetX, offsetY));
     const [speed, heading] = one ? [speedOf(one), headingOf(one)] : [null, null];
     const flies = speed === null ? "" : `; ${one.target}: ${fixed(speed, 0)} m/s, heading ${fixed(degrees(heading, this.radar), 0)}°`;

@@ -18,7 +18,7 @@ from cogradar.services.web.parameters import shown_token
 from cogradar.services.web.problem_documents import Problem, bad
 from cogradar.services.web.run_answers import core_of, run_of, scored
 from cogradar.shared.protocol.messages import Command
-from cogradar.shared.protocol.orders import action_of
+from cogradar.shared.protocol.orders import action_of, parsed
 
 WITHIN_S = 5.0
 POLL_S = 0.05
@@ -45,7 +45,8 @@ async def _command(request: Request) -> Response:
     by, run, core = _commander(request), run_of(request), core_of(request)
     document = await _document(request)
     try:
-        action = action_of(document["action"])
+        told = document["action"]
+        action = parsed(told.split()) if isinstance(told, str) else action_of(told)
     except ValueError as error:
         raise bad(str(error)) from None
     await run_sync(_check, core, run)
@@ -95,8 +96,8 @@ async def _document(request: Request) -> dict[str, Any]:
         raise bad("the body is no JSON") from None
     if not isinstance(document, dict) or not set(document) <= {"action", "at"}:
         raise bad("the body: must be an object of action and, if not at once, at")
-    if not isinstance(document.get("action"), dict):
-        raise bad('action: must be an object such as {"kind": "power", "share": 0.5}')
+    if not isinstance(document.get("action"), dict | str):
+        raise bad('action: must be words such as "power 0.5", or an object such as {"kind": "power", "share": 0.5}')
     at = document.get("at", 0)
     if type(at) is not int or not 0 <= at <= MAX_DWELL:
         raise bad(f"at: must be a dwell, 0 .. {MAX_DWELL}")

@@ -172,10 +172,17 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "tracks": tracks,
         "search": search_of(known, scan) if scan is not None and is_unknown else None,
         "cells": cells,
+        "orders": _obeyed(sent),
         "false_alarms": _false_alarms(known, rows, scan),
         "picture": {name: value for name, value in picture.items() if name not in {"k", "t"}},
     }
     return to_json(data, inf_nan_mode="null")
+
+
+def _obeyed(sent: MessageFields | None) -> list[int]:
+    """Numbers of the commands that a waveform obeys."""
+    found = None if sent is None else sent.get("orders")
+    return [] if found is None else np.asarray(found).tolist()
 
 
 def _add_positions(known: Facts, rows: list[dict[str, Any]], suffixes: Sequence[str]) -> None:

@@ -165,6 +165,7 @@ class DwellEvent(Document):
     tracks: list[TrackOfDwell] | None = Field(description="null: their number is known.")
     search: Search | None
     cells: Cells | None
+    orders: list[int] = Field(description="Numbers of the commands that its waveform obeys.")
     false_alarms: list[int] | None = Field(description="Bins of detections where no target was.")
     picture: PictureOfDwell
 

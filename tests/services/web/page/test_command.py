@@ -1,0 +1,161 @@
+"""Commands from the page: with a commander's token, in words, by buttons and on the scope; what comes of them is seen."""
+
+import re
+import threading
+from collections.abc import Iterator
+
+import httpx
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from cogradar.services import kernels
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
+from cogradar.services.web.address import COMMAND_VARIABLE
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from tests.services.web.page.conftest import Live, Open, Watched, inked, wait_for_dwell
+from tests.skies import small_sky
+
+pytestmark = [pytest.mark.browser, pytest.mark.zenoh]
+TOKEN = "c0mmander-of-the-tower"
+WARN = "#946200"  # in light
+
+
+@pytest.fixture(scope="module")
+def sky(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """A run of an unknown number in real time, longer than the tests, which `tower` may command."""
+    kernels.compile_all(lambda _: None)
+    store = str(tmp_path_factory.mktemp("sky") / "runs.db")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(COMMAND_VARIABLE, f"tower:{TOKEN}")
+        with Launcher(LocalProcesses(1, store, http="127.0.0.1:0"), threading.Event()) as launcher:
+            cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+            start = RunStart.of(small_sky(), Strategy.POWER_AWARE, 1, 100_000, 10.0)
+            cluster.start_on(launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
+            yield Live(launcher, start.run)
+
+
+@pytest.fixture
+def commander(sky: Live, show: Open) -> Page:
+    """The page with its panel open, and the token typed."""
+    page = show(sky.page)
+    wait_for_dwell(page, 3)
+    page.keyboard.press("c")
+    expect(page.get_by_label("Commander's token")).to_be_focused()
+    expect(page.locator("#command-acts")).to_be_hidden()
+    page.keyboard.type(TOKEN)
+    page.keyboard.press("Enter")
+    expect(page.get_by_label("In words")).to_be_focused()
+    return page
+
+
+def _answer(page: Page) -> Locator:
+    return page.locator("#command-answer")
+
+
+def _at(page: Page, share: float) -> tuple[float, float]:
+    """A point of the scope, from its left to its right edge, half-way up."""
+    box = page.locator("#scope").bounding_box()
+    assert box is not None
+    return box["x"] + share * box["width"], box["y"] + 0.5 * box["height"]
+
+
+def test_a_command_in_words_is_granted_or_refused(sky: Live, commander: Page, watched: Watched) -> None:
+    watched.may_be_refused = True
+    expect(page_forms := commander.locator("#command-forms")).to_contain_text("sector blank|normal|double FROM TO; look")
+    commander.keyboard.type("power 0.5")
+    commander.keyboard.press("Enter")
+    expect(_answer(commander)).to_have_text(re.compile(r"^power 0\.5: granted from dwell \d+ on\.$"))
+    expect(commander.locator("#orders li")).to_have_text(re.compile(r"^power 0\.5 since dwell \d+, tower$"))
+    for words, why in (("drop 999999", "there is no track 999999"), ("power 2", "share = 2"), ("dance", "must be one of")):
+        commander.get_by_label("In words").fill(words)
+        commander.keyboard.press("Enter")
+        expect(_answer(commander)).to_contain_text(why)
+    expect(page_forms).to_be_visible()  # a word that makes no sense costs no token
+    commander.get_by_label("at most, %").fill("100")
+    commander.get_by_role("button", name="Limit").click()
+    expect(_answer(commander)).to_have_text(re.compile("^power 1: granted"))
+    expect(commander.locator("#orders")).to_be_hidden()
+    assert TOKEN not in commander.url
+
+
+def test_a_sector_is_drawn_blanked_and_seen(commander: Page) -> None:
+    expect(commander.locator("#legend")).not_to_contain_text("blanked sector")
+    commander.keyboard.press("Tab")  # out of the line of words, to where letters are keys
+    commander.keyboard.press("s")
+    expect(commander.get_by_role("button", name="Draw", exact=True)).to_have_attribute("aria-pressed", "true")
+    chosen = commander.url
+    commander.mouse.move(*_at(commander, 0.7))
+    commander.mouse.down()
+    commander.mouse.move(*_at(commander, 0.65))
+    commander.mouse.move(*_at(commander, 0.6))
+    commander.mouse.up()
+    low, high = (float(commander.get_by_label(name, exact=True).input_value()) for name in ("from", "to"))
+    assert 5.0 < low < high < 60.0
+    assert commander.url.partition("&target")[2] == chosen.partition("&target")[2]  # no target was chosen meanwhile
+    commander.keyboard.press("Escape")
+    before = inked(commander, WARN)
+    commander.get_by_role("button", name="Blank").click()
+    expect(_answer(commander)).to_contain_text(f"sector blank {low:g} {high:g}: granted from dwell")
+    expect(commander.locator("#legend")).to_contain_text("blanked sector")
+    assert inked(commander, WARN) > before
+    commander.get_by_role("button", name="Normal").click()
+    expect(_answer(commander)).to_contain_text("sector normal")
+    expect(commander.locator("#orders")).to_be_hidden()
+
+
+def test_a_look_goes_where_the_scope_is_clicked(commander: Page) -> None:
+    commander.get_by_label("dwells").fill("30")
+    commander.get_by_role("button", name="Aim").click()
+    commander.mouse.click(*_at(commander, 0.4))
+    expect(_answer(commander)).to_have_text(re.compile(r"^look -\d+(\.\d)? 30 0\.2: granted from dwell \d+ on\.$"))
+    expect(commander.get_by_role("button", name="Aim")).to_have_attribute("aria-pressed", "false")
+    expect(commander.locator("#legend")).to_contain_text("commanded look")
+
+
+def test_the_chosen_track_is_dropped(commander: Page) -> None:
+    drop = commander.locator("#drop")
+    expect(drop).to_be_disabled()
+    row = commander.locator("#tracks tbody tr[data-state=detected]").first
+    row.get_by_role("button").click()
+    track = row.get_attribute("data-target")
+    expect(drop).to_have_text(f"Drop track {track}")
+    drop.click()
+    expect(_answer(commander)).to_contain_text(f"drop {track}: granted from dwell")
+    expect(commander.locator(f"#tracks tr[data-target='{track}']")).to_have_count(0)
+
+
+def test_a_token_that_is_none_is_said_and_forgotten(sky: Live, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True
+    page = show(sky.page)
+    wait_for_dwell(page, 3)
+    page.get_by_role("button", name="Command").click()
+    page.get_by_label("Commander's token").fill("no-commander-has-this-one")
+    page.get_by_role("button", name="Use it").click()
+    page.get_by_label("In words").fill("power 0.5")
+    page.get_by_role("button", name="Send").click()
+    expect(_answer(page)).to_contain_text("this token is no commander's")
+    expect(page.get_by_label("Commander's token")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(page.locator("#command")).to_be_hidden()
+    expect(page.get_by_role("button", name="Command")).to_be_focused()
+
+
+def test_the_run_ends_when_it_is_asked_for_twice(sky: Live, commander: Page) -> None:
+    """The last test of this file: the run is over."""
+    commander.get_by_role("button", name="End the run …").click()
+    commander.get_by_role("button", name="Keep it").click()
+    expect(commander.locator("#connection")).to_have_text("Live")
+    assert not [row for row in _commands(sky) if row["action"] == "end"]
+    commander.get_by_label("In words").fill("end")
+    commander.keyboard.press("Enter")
+    expect(commander.locator("#end-dialog")).to_contain_text(sky.run)
+    commander.get_by_role("button", name="End the run", exact=True).click()
+    expect(_answer(commander)).to_contain_text("end: granted from dwell")
+    expect(commander.locator("#connection")).to_contain_text("Complete")
+
+
+def _commands(sky: Live) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = httpx.get(f"{sky.launcher.url}/api/v1/runs/{sky.run}/commands").json()["rows"]
+    return rows
