@@ -65,10 +65,18 @@ def from_kubernetes() -> dict[str, Process]:
     """Processes of the Kubernetes manifests."""
     found = {}
     for name, (container, _) in containers().items():
-        environment = {each["name"]: each["value"] for each in container["env"]}
+        environment = {each["name"]: _without_secrets(each) for each in container["env"]}
         probe = container["readinessProbe"].get("exec")
         found[name] = Process(container["args"], environment, probe and probe["command"])
     return found
+
+
+def _without_secrets(variable: dict[str, Any]) -> str:
+    """Value of a container's variable where no secret was made: one that takes its value from a secret is off."""
+    if "value" in variable:
+        return str(variable["value"])
+    assert variable["valueFrom"]["secretKeyRef"]["optional"], variable["name"]
+    return ""
 
 
 def environment_file() -> dict[str, str]:

@@ -15,7 +15,7 @@ import yaml
 from cogradar.services.cli.app import app
 from cogradar.services.cli.console import CONNECT_VARIABLE, FRONT_END_VARIABLE
 from cogradar.services.topology import SERVICES
-from cogradar.services.web.address import HOSTS_VARIABLE
+from cogradar.services.web.address import COMMAND_VARIABLE, HOSTS_VARIABLE
 from cogradar.shared.protocol.topics import Role
 from tests.containers.deployments import (
     BASE,
@@ -40,7 +40,7 @@ USER = 10001
 SCRATCH_VARIABLE = "SQLITE_TMPDIR"
 OWN_VARIABLES = {
     Role.RECORDER: tuple(f"COGRADAR_KEEP_{name}" for name in ("RUNS", "DAYS", "HOURS", "BYTES")),
-    Role.METRICS: (HOSTS_VARIABLE, SCRATCH_VARIABLE),
+    Role.METRICS: (HOSTS_VARIABLE, COMMAND_VARIABLE, SCRATCH_VARIABLE),
     Role.OPERATOR: ("COGRADAR_SCENARIO", "COGRADAR_DWELLS", "COGRADAR_RATE"),
 }
 
@@ -56,7 +56,7 @@ def test_the_command_line_takes_what_each_way_gives_it(way: str, role: Role) -> 
     assert _parsed(process.arguments)["role"] == role
     assert process.environment[CONNECT_VARIABLE].startswith("tcp/")
     assert set(process.environment) == {CONNECT_VARIABLE, *OWN_VARIABLES.get(role, ())}
-    assert set(process.environment) - {HOSTS_VARIABLE, SCRATCH_VARIABLE} <= set(_variables_of_service())
+    assert set(process.environment) - {HOSTS_VARIABLE, COMMAND_VARIABLE, SCRATCH_VARIABLE} <= set(_variables_of_service())
 
 
 @pytest.mark.parametrize("role", SERVICES)
@@ -64,6 +64,25 @@ def test_both_ways_start_a_role_alike(role: Role) -> None:
     in_compose, in_kubernetes = from_compose()[role], from_kubernetes()[role]
     assert in_compose.arguments == in_kubernetes.arguments
     assert in_compose.environment == in_kubernetes.environment
+
+
+def test_nobody_commands_until_tokens_are_given_to_metrics_alone_as_the_manual_says() -> None:
+    """Each way has a place for tokens, which is empty, and never in a file that all processes or people read."""
+    services, found = compose_file()["services"], containers()
+    assert {name for name, one in services.items() if COMMAND_VARIABLE in one.get("environment", {})} == {Role.METRICS}
+    assert services[Role.METRICS]["environment"][COMMAND_VARIABLE] == f"${{{COMMAND_VARIABLE}-}}"
+    (secret,) = (
+        (role, each["valueFrom"]["secretKeyRef"])
+        for role, (container, _) in found.items()
+        for each in container["env"]
+        if each["name"] == COMMAND_VARIABLE
+    )
+    assert secret == (Role.METRICS, {"name": "cogradar-commanders", "key": "tokens", "optional": True})
+    assert COMMAND_VARIABLE not in environment_file()
+    assert "-/etc/cogradar-%i.env" in unit_settings()["EnvironmentFile"]
+    manual = (ROOT / "docs/howto/deploy.md").read_text(encoding="utf-8")
+    for told in (f"{COMMAND_VARIABLE}=", "/etc/cogradar-metrics.env", "secret generic cogradar-commanders"):
+        assert told in manual
 
 
 def test_health_is_asked_about_the_right_role() -> None:
