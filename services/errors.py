@@ -6,8 +6,8 @@ Below everything else in services. The text of a failure is for the user: what h
 import threading
 from typing import ClassVar
 
-CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
-INTERRUPTED = "interrupted"  # ... and of one that was given up because its processes are gone
+BY_USER = "by user"  # reason of a run that was stopped,
+INTERRUPTED = "interrupted"  # ... and of one that failed because its processes are gone
 
 
 class Failure(Exception):

@@ -42,7 +42,7 @@ class Result:
         self.scenario = stored.scenario
         self.strategy: Strategy = stored.start.strategy
         self.seed: int = row["seed"]
-        self.status: str = row["status"]  # running, complete, failed or quarantined
+        self.status: str = row["status"]  # running, complete, stopped, failed or quarantined
         self.acquisition_scans: int = row["acquisition_scans"]  # scans before dwell 1; None while targets are searched
         self.digest: str = row["digest"]  # SHA-256 over scans, plans, waveforms: of the same inputs the same
 

@@ -44,7 +44,7 @@ UNITS = "x, y in km, vx, vy in km/s; hat: estimates"
 NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines of their own below the table
 # What people read first, first; what has no room is left out from the end. Other columns follow.
 ORDER = {
-    "runs": ("run", "strategy", "seed", "status", "t", "dwells", "digest", "scenario"),
+    "runs": ("run", "strategy", "seed", "status", "t", "dwells", "began", "digest", "scenario"),
     "tracks": ("run", "strategy", "t", "target", "detected", "share", "x_hat", "y_hat", "x", "y", "snr_db", "bin"),
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
@@ -148,7 +148,8 @@ def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
         say(UNITS)
     for row in rows if not (chosen or wide) else ():
         if note := row.get("reason") or row.get("waiting_for"):
-            say(f"{row['run']}: {note}")
+            stopped = "stopped " if row.get("status") == "stopped" else ""
+            say(f"{row['run']}: {stopped}{note}")
 
 
 def export(

@@ -27,6 +27,12 @@ from cogradar.shared.scoring.figures import Figures, Totals
 from cogradar.shared.wire.codec import fields
 
 Rows = list[dict[str, Any]]
+# When a run began and ended, in UTC, and how long it is by its own clock.
+_CLOCKS = (
+    "strftime('%Y-%m-%dT%H:%M:%SZ', began_s, 'unixepoch') AS began,"
+    " strftime('%Y-%m-%dT%H:%M:%SZ', ended_s, 'unixepoch') AS ended,"
+    " acknowledged_t * json_extract(document, '$.radar.motion.dt_s') AS length_s"
+)
 NO_ROOM = "room: the recorder's disk is full"  # what a run that is held waits for
 
 
@@ -90,7 +96,7 @@ def _runs(store: Store, selection: Selection) -> Rows:
     rows = store.read(
         f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
         " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest,"
-        f" acknowledged_t AS t, {OLDEST_T} AS oldest_t,"
+        f" acknowledged_t AS t, {OLDEST_T} AS oldest_t, {_CLOCKS},"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],

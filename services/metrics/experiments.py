@@ -64,7 +64,9 @@ def experiments(store: Store, selection: Selection) -> list[Experiment]:
     found = []
     for number in dict.fromkeys(run["experiment"] for run in runs):
         mine = sorted((r for r in runs if r["experiment"] == number), key=lambda run: (run["seed"], run["run"]))
-        complete, failed = (tuple(run for run in mine if run["status"] == kind) for kind in ("complete", "failed"))
+        complete, failed = (
+            tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), ("failed", "stopped"))
+        )
         if complete:
             (row,) = store.read("SELECT document FROM run WHERE run = ?", [complete[0]["run"]])
             document = json.loads(row["document"])

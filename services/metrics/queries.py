@@ -138,7 +138,7 @@ def timeline(store: Store, run: str, width: int) -> list[Row]:
     if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
         (now,) = store.read(*sums.lost(run, store.table(run), rows[-1]["last"]))
         rows[-1] |= now
-    return [row | {"missed": None, "swaps": None} for row in rows]
+    return [row | {"missed": None, "swaps": None, "gospa_km": None} for row in rows]
 
 
 def picture_timeline(store: Store, run: str, width: int) -> list[Row]:
@@ -146,7 +146,8 @@ def picture_timeline(store: Store, run: str, width: int) -> list[Row]:
     return store.read(
         "SELECT MIN(t) AS first, MAX(t) AS last, NULL AS detected, NULL AS lost, NULL AS late, NULL AS stale,"
         " sqrt(SUM(localisation_km2) / SUM(followed)) AS error_km,"
-        " 1.0 - 1.0 * SUM(followed) / SUM(targets) AS missed, SUM(swaps) AS swaps"
+        " 1.0 - 1.0 * SUM(followed) / SUM(targets) AS missed, SUM(swaps) AS swaps,"
+        " sqrt(AVG(localisation_km2 + missed_km2 + false_km2)) AS gospa_km"
         " FROM picture WHERE run = ? GROUP BY t / ? ORDER BY 1",
         [run, width],
     )

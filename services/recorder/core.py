@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pending import Pending
-from cogradar.services.errors import CANCELLED
+from cogradar.services.errors import BY_USER
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
@@ -165,7 +165,7 @@ class RecorderCore:
         """The end of a run as it is. One that is not known yet ends when it begins."""
         known = self._runs.get(run)
         k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
-        return RunEnd(run=run, k=k, t=t, status="failed", reason=CANCELLED)
+        return RunEnd(run=run, k=k, t=t, status="stopped", reason=BY_USER)
 
     def _command(self, command: Command) -> Sequence[Message]:
         """Grant a command, or refuse it, and say so in the journal; the order is durable before anybody hears of it."""
@@ -243,7 +243,7 @@ class RecorderCore:
                 run.digest.advance(self._journal, run.k)
             if run.end is not None and run.is_over:
                 # Of a part of a run nobody needs the digest.
-                is_part = run.end.reason == CANCELLED or self._spans[run.start.run].first_k > 0
+                is_part = run.end.status == "stopped" or self._spans[run.start.run].first_k > 0
                 return self._finish(run, run.end, "" if is_part else run.digest.finish(self._journal))
         except Unreadable as error:
             self._set_aside(run.start.run, str(error))

@@ -123,7 +123,7 @@ class Journal:
         document, strategy = json.dumps(start.scenario, sort_keys=True), start.strategy.value
         self.write(
             "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, n_track,"
-            " has_truth) VALUES (?,?,?,?,?,?,?,?,?,?)",
+            " has_truth, began_s) VALUES (?,?,?,?,?,?,?,?,?,?,strftime('%s'))",
             *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells, start.rate_hz),
             *(n_target, n_track, world is not None),
         )

@@ -179,7 +179,7 @@ class RecordedRun:
     @property
     def is_over(self) -> bool:
         """Whether it has ended and all of it is there, or the rest does not matter."""
-        return self.end is not None and (self.k > self.end.k or self.end.status == "failed")
+        return self.end is not None and (self.k > self.end.k or self.end.status != "complete")
 
     def tick(self, *, others_go_on: bool) -> None:
         """A tick has passed; `others_go_on`: messages of other runs in lockstep came meanwhile.

@@ -22,7 +22,7 @@ from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 16
+SCHEMA_VERSION = 17
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
 MAX_COMMANDS = 10_000  # of a run
@@ -54,9 +54,10 @@ CREATE TABLE run ( -- one row per run
     kept_k INTEGER NOT NULL DEFAULT 0, -- [dwells] messages of dwells k below this were cut, of a run without an end
     acquisition_scans INTEGER, -- [scans] up to the last track's confirmation, null before, 0 of an unknown number
     conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
-    status TEXT NOT NULL DEFAULT 'running', -- running, complete, failed or quarantined
-    reason TEXT NOT NULL DEFAULT '', -- why it failed
+    status TEXT NOT NULL DEFAULT 'running', -- running, complete, stopped, failed or quarantined
+    reason TEXT NOT NULL DEFAULT '', -- why it is not complete
     digest TEXT, -- SHA-256 over scans, plans and waveforms, once complete
+    began_s INTEGER NOT NULL, -- [s] when its start was recorded, since 1970 in UTC
     ended_s INTEGER -- [s] when it ended, since 1970 in UTC
     );
 CREATE TABLE message ( -- every message of a run, as it was sent, a campaign's store has the waveforms of few dwells

@@ -116,8 +116,8 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
     rows = ask("runs", {"run": start.run})
     if not rows:
         return None
-    if rows[0]["status"] in {"failed", "quarantined"}:
-        raise RunFailed(rows[0]["reason"])
+    if rows[0]["status"] in {"stopped", "failed", "quarantined"}:
+        raise RunFailed(f"stopped {rows[0]['reason']}" if rows[0]["status"] == "stopped" else rows[0]["reason"])
     row = rows[0]
     return Progress(
         row["t"],

@@ -30,7 +30,7 @@ SCORED = dict.fromkeys(("summary", "p_d", "rmse", "consistency", "tracks"), OF_S
 )
 SCORED["commands"] += ("state",)
 SCORED["antennas"] = tuple(name for name in OF_SCORES if name != "target")
-_FINISHED = ("complete", "failed")
+_FINISHED = ("complete", "stopped", "failed")
 _ROOT = Path(__file__).resolve().parents[2]
 _ROOMS = ("services/metrics", "services/web", "shared")  # whose program makes the answers
 

@@ -29,11 +29,14 @@ class RunRow(Document):
     confirmed: int | None
     acquisition_scans: int | None
     conflicts: int
-    status: Literal["running", "complete", "failed", "quarantined"]
+    status: Literal["running", "complete", "stopped", "failed", "quarantined"]
     reason: str
     digest: str | None
     t: int
     oldest_t: int = Field(description="The oldest dwell that is kept of a run without an end; else 1.")
+    began: str = Field(description="When the recorder had its start, in UTC.")
+    ended: str | None = Field(description="When it ended, in UTC.")
+    length_s: float = Field(description="So far, after the acquisition, by the clock of the run.")
     k: int | None
     waiting_for: str
 

@@ -379,5 +379,5 @@ class RunEnd(Message):
 
     k: Index
     t: Index
-    status: Literal["complete", "failed"]
+    status: Literal["complete", "stopped", "failed"]
     reason: Annotated[str, Field(max_length=500)] = ""

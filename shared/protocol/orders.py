@@ -299,9 +299,7 @@ def action_of(document: dict[str, Any]) -> Action:
 def _form(kind: object) -> tuple[_Kind, str, tuple[str, ...]]:
     """What a kind of action is made of. Raises ValueError."""
     if not isinstance(kind, str) or kind not in FORMS:
-        raise ValueError(
-            f"action = {str(kind)[:40]!r}: must be one of {'; '.join(forms())}"
-        )
+        raise ValueError(f"action = {str(kind)[:40]!r}: must be one of {'; '.join(forms())}")
     return FORMS[kind]
 
 

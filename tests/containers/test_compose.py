@@ -63,7 +63,7 @@ def test_the_first_up_is_a_radar_that_tracks(services: FirstUp) -> None:
 def test_an_operator_that_stops_cancels_its_run_and_without_a_scenario_it_begins_none() -> None:
     first = [row for row in runs() if row["rate_hz"] == 5.0]  # as the compose file has it
     assert [row["seed"] for row in first] == list(range(1, len(first) + 1))
-    assert first[-1]["reason"] == "cancelled"
+    assert first[-1]["reason"] == "by user"
     assert not [row for row in runs() if row["status"] == "running"]
 
 

@@ -56,7 +56,9 @@ def test_the_command_line_takes_what_each_way_gives_it(way: str, role: Role) -> 
     assert _parsed(process.arguments)["role"] == role
     assert process.environment[CONNECT_VARIABLE].startswith("tcp/")
     assert set(process.environment) == {CONNECT_VARIABLE, *OWN_VARIABLES.get(role, ())}
-    assert set(process.environment) - {HOSTS_VARIABLE, COMMAND_VARIABLE, SCRATCH_VARIABLE} <= set(_variables_of_service())
+    assert set(process.environment) - {HOSTS_VARIABLE, COMMAND_VARIABLE, SCRATCH_VARIABLE} <= set(
+        _variables_of_service()
+    )
 
 
 @pytest.mark.parametrize("role", SERVICES)

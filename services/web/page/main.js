@@ -5,6 +5,7 @@ import { listen } from "./keys.js";
 import { isDark, onTheme, setTheme } from "./palette.js";
 import { Charts } from "./charts.js";
 import { Command } from "./command.js";
+import { Compare } from "./compare.js";
 import { Machines } from "./machines.js";
 import { Orders } from "./orders.js";
 import { Radar } from "./radar.js";
@@ -23,6 +24,7 @@ const radar = new Radar(charts, orders, command);
 const session = new Session(radar);
 const machines = new Machines();
 new Alarms(session);
+const compare = new Compare((t) => session.player.seek(t));
 const runs = new Runs(listed);
 
 function listed(rows, problem) {
@@ -89,6 +91,7 @@ function views() {
   links();
   machines.watch(view.view === "machines", view.run);
   if (view.view === "runs") runs.draw(null);
+  compare.show(view.run, view.beside, view.view === "runs");
 }
 
 function links() {
@@ -112,7 +115,7 @@ onView((changed) => {
     else if (view.dwell !== null && view.dwell !== session.player.t) session.player.seek(view.dwell);
   }
   if (changed.includes("speed") && view.speed) session.setSpeed(view.speed);
-  if (changed.includes("view") || isRun) views();
+  if (changed.includes("view") || changed.includes("beside") || isRun) views();
   else links();
   if (isRun || changed.includes("target")) command.draw();
   radar.redraw();
@@ -171,4 +174,5 @@ runs.refresh();
 setInterval(() => {
   if (!document.hidden) orders.watch(session.player.isRunning);
   if (!document.hidden && (view.view === "runs" || !session.player.isRunning)) runs.refresh();
+  if (!document.hidden && view.view === "runs") compare.show(view.run, view.beside, true);
 }, LOOK_MS);

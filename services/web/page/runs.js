@@ -2,7 +2,7 @@
 
 import { Latest, ask } from "./api.js";
 import { byId, make, put } from "./text.js";
-import { link, view } from "./view.js";
+import { link, show, view } from "./view.js";
 
 const MOST = 300; // rows of the table
 const PAGES = 50; // of a thousand runs
@@ -38,6 +38,10 @@ export class Runs {
       told(this.rows, problem);
     });
     byId("find").addEventListener("input", () => this.draw(null));
+    this.body.addEventListener("click", ({ target }) => {
+      const { beside } = target.closest("button")?.dataset ?? {};
+      if (beside) show({ beside: beside === view.beside ? null : beside });
+    });
   }
 
   refresh() {
@@ -46,13 +50,14 @@ export class Runs {
 
   draw(problem) {
     const words = byId("find").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const text = (row) => `${row.run} ${row.scenario} ${row.strategy} ${row.seed} ${row.status}`.toLowerCase();
+    const text = (row) => `${row.run} ${row.scenario} ${row.strategy} ${row.seed} ${resultOf(row)}`.toLowerCase();
     const found = this.rows.filter((row) => words.every((word) => text(row).includes(word)));
     const goOn = this.rows.filter((row) => row.status === "running").length;
     put(byId("runs-caption"), problem ? `${problem.message}: this is what was there before` : `${this.rows.length} stored, ${goOn} live`);
     const focused = document.activeElement?.closest("tr")?.dataset.run;
+    const on = document.activeElement?.matches("button") ? "button" : "a";
     this.body.replaceChildren(...found.slice(0, MOST).map(rowOf));
-    if (focused) this.body.querySelector(`tr[data-run="${CSS.escape(focused)}"] a`)?.focus();
+    if (focused) this.body.querySelector(`tr[data-run="${CSS.escape(focused)}"] ${on}`)?.focus();
     const left = found.length - MOST;
     put(byId("runs-more"), left > 0 ? `${left} more: narrow them down with Find.` : empty(found.length, this.rows.length, problem));
   }
@@ -75,8 +80,39 @@ function rowOf(row) {
   anchor.dataset.run = row.run;
   head.append(anchor);
   line.append(head);
-  const status = row.status === "running" ? "live" : row.status;
-  const texts = [status + (row.reason ? `: ${row.reason}` : ""), row.scenario, row.strategy, String(row.seed), row.dwells === null ? `${row.t}, no end` : `${row.t} of ${row.dwells}`, String(row.targets)];
+  const dwells = row.dwells === null ? `${row.t}, no end` : `${row.t} of ${row.dwells}`;
+  const texts = [resultOf(row), clock(row.began), span(row.length_s), row.scenario, row.strategy, String(row.seed), dwells, String(row.targets)];
   for (const text of texts) line.append(make("td", "", text));
+  line.cells[2].title = row.ended === null ? `began ${row.began}` : `began ${row.began}, ended ${row.ended}`;
+  const beside = make("button", "", "Compare");
+  beside.type = "button";
+  beside.dataset.beside = row.run;
+  beside.disabled = row.run === view.run;
+  beside.title = beside.disabled ? "This run is the one that is shown" : `Draw it beside ${view.run ?? "a run"}`;
+  beside.setAttribute("aria-label", `Compare with ${row.run}`);
+  beside.setAttribute("aria-pressed", String(row.run === view.beside && !beside.disabled));
+  line.append(make("td"));
+  line.lastElementChild.append(beside);
   return line;
+}
+
+// How a run ended, or that it goes on.
+export function resultOf({ status, reason, t, dwells }) {
+  if (status === "running") return "live";
+  if (status === "complete") return dwells === null || t < dwells ? "ended by command" : "complete";
+  return status === "stopped" ? `stopped ${reason}` : `${status}: ${reason}`;
+}
+
+// When, by the clock of who looks: the time, and of another day the date.
+function clock(utc) {
+  const when = new Date(utc);
+  const time = when.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  return when.toDateString() === new Date().toDateString() ? time : `${when.toLocaleDateString()} ${time}`;
+}
+
+function span(seconds) {
+  const whole = Math.round(seconds);
+  const two = (value) => String(value).padStart(2, "0");
+  const minutes = `${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+  return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes}`;
 }

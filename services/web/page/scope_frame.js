@@ -30,6 +30,16 @@ export function fit(canvas, { range, dwell, target, zoom }) {
   };
 }
 
+// Adds a sector around the radar to the path.
+export function wedge({ context, at, reach }, from, to) {
+  const [x, y] = at(0, 0);
+  context.moveTo(x, y);
+  context.arc(x, y, reach, from - Math.PI / 2, to - Math.PI / 2);
+  context.closePath();
+}
+
+export const radians = (degrees) => (degrees * Math.PI) / 180;
+
 // The range of the whole scene in km: what all targets and tracks fit in, in round steps, and not less than before.
 export function rangeOf(radar, dwell, before) {
   let far = 0;

@@ -4,10 +4,12 @@ import { Problem, ask, runPath } from "./api.js";
 import { Dwells, TRAIL } from "./dwells.js";
 import { Feed } from "./feed.js";
 import { Player } from "./player.js";
+import { resultOf } from "./runs.js";
 import * as says from "./says.js";
 import { Timeline } from "./timeline.js";
 import { SPEEDS, show, view } from "./view.js";
 
+const capital = (text) => text[0].toUpperCase() + text.slice(1);
 const AGAIN_MS = 2000;
 const MANY_TRACKS = 100; // at a time, where nobody knows their number
 const FILL_MS = 1000; // how often what a live stream leaves out is asked for
@@ -55,7 +57,7 @@ export class Session {
     else if (!document.hidden) this.follow();
     if (view.dwell !== null) this.player.seek(view.dwell);
     else this.player.live();
-    if (!row.t) says.empty(this.player.isRunning ? (radar.is_unknown ? "Waiting for the first dwell …" : "Searching for the targets …") : `This run has no dwell: ${row.reason || row.status}.`);
+    if (!row.t) says.empty(this.player.isRunning ? (radar.is_unknown ? "Waiting for the first dwell …" : "Searching for the targets …") : `This run has no dwell: ${resultOf(row)}.`);
     this.turned();
   }
 
@@ -170,7 +172,7 @@ export class Session {
   over(status, reason) {
     this.feed?.close();
     this.feed = null;
-    Object.assign(this.row, { status, reason });
+    Object.assign(this.row, { status, reason, t: this.player.newest });
     this.player.isRunning = false;
     if (this.player.mode === "live") this.player.mode = "paused";
     this.timeline.refresh();
@@ -259,7 +261,7 @@ export class Session {
     // A dwell that was asked for shows nothing of the stream: it is live once the stream has opened.
     if (status === "running" && !this.isUp) says.badge("waiting", "Connecting");
     else if (status === "running") says.badge(player.mode === "live" ? "live" : "behind", player.mode === "live" ? "Live" : "Live, looking back");
-    else says.badge(status, status === "complete" ? "Complete" : `${status}: ${this.row.reason}`);
+    else says.badge(status, capital(resultOf(this.row)));
     if (player.mode === "paused" && this.picture.dwell) this.picture.show(this.picture.dwell, null, true);
   }
 }

@@ -10,7 +10,7 @@ let timer = 0;
 
 const NEWEST = "newest"; // as the run of an address
 
-// `dwell` null: the newest. `follows`: the newest run, whichever that is; `run` is the one that is shown.
+// `beside`: a second run to compare with. `dwell` null: the newest. `follows`: the newest run, whichever that is; `run` is the one that is shown.
 export const view = read();
 
 function read() {
@@ -28,6 +28,7 @@ function read() {
     zoom: one("zoom", ZOOMS) ?? 1,
     speed: one("speed", SPEEDS),
     particles: asked.get("particles") === "1",
+    beside: asked.get("beside"),
   };
 }
 
@@ -36,7 +37,7 @@ export function link(changes = {}) {
   const shown = { ...view, ...changes };
   if (shown.follows && shown.dwell === null) shown.run = NEWEST; // with a dwell the address is of what is seen
   const query = new URLSearchParams();
-  for (const name of ["run", "dwell", "target", "speed"]) if (shown[name] !== null) query.set(name, shown[name]);
+  for (const name of ["run", "dwell", "target", "speed", "beside"]) if (shown[name] !== null) query.set(name, shown[name]);
   if (shown.view !== "radar") query.set("view", shown.view);
   if (shown.zoom !== 1) query.set("zoom", shown.zoom);
   if (shown.particles) query.set("particles", "1");

@@ -275,6 +275,7 @@ class Timeline(Document):
         " where the number of tracks is unknown."
     )
     swaps: list[int | None] = Field(description="Tracks that became another target's, where their number is unknown.")
+    gospa_km: list[float | None] = Field(description="Root mean square, where the number of tracks is unknown.")
 
 
 class Particles(Document):

@@ -12,7 +12,7 @@ from cogradar.services.web.views.radar import facts
 MAX_BUCKETS = 600
 MIN_BLOCKS = 2  # of a bucket, which has more dwells then than a track is judged by
 MAX_ROWS = 30_000  # of scores that are read one by one, some 50 ms; of more there are sums over blocks of dwells
-NAMES = ("first", "last", "detected", "lost", "late", "stale", "error_km", "missed", "swaps")
+NAMES = ("first", "last", "detected", "lost", "late", "stale", "error_km", "missed", "swaps", "gospa_km")
 
 
 @about_run()

@@ -245,7 +245,7 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     run.communicate(timeout=15)
     assert run.returncode == code
     (row,) = json.loads(_cogradar("query", "runs", "--store", file, "--json").stdout)
-    assert (row["status"], row["reason"]) == ("failed", "cancelled")
+    assert (row["status"], row["reason"]) == ("stopped", "by user")
     unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
     assert (unknown.returncode, unknown.stderr.strip()) == (2, "run = 'nosuchrun': no such run")
 

@@ -117,7 +117,7 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
         if not network.step():
             network.tick()
     sent = 0
-    while network.store.read("SELECT status, reason FROM run") != [{"status": "failed", "reason": "cancelled"}]:
+    while network.store.read("SELECT status, reason FROM run") != [{"status": "stopped", "reason": "by user"}]:
         network.publish("operator", RunCancel(run="r"))
         network.step()
         sent += 1

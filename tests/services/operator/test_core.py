@@ -153,7 +153,7 @@ def test_the_service_plays_until_it_is_stopped(endpoint: str) -> None:
     assert [(run["seed"], run["rate_hz"], run["status"]) for run in runs[:2]] == [
         (seed, 50.0, "complete") for seed in (1, 2)
     ]
-    assert (last["seed"], last["status"], last["reason"]) == (3, "failed", "cancelled")
+    assert (last["seed"], last["status"], last["reason"]) == (3, "stopped", "by user")
 
 
 def _wait_for_third(endpoint: str) -> Rows:

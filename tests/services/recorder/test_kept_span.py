@@ -108,7 +108,7 @@ def test_dwells_are_cut_by_size_and_a_recorder_that_comes_back_goes_on_so() -> N
     assert size < journal.extent("r")[0] < 2.5 * size  # what is needed, of two tracks, is more than was allowed
     assert _ks(journal)[0] > 400
     core.handle(RunCancel(run="r"))
-    assert journal.read("SELECT status, digest FROM run") == [{"status": "failed", "digest": ""}]
+    assert journal.read("SELECT status, digest FROM run") == [{"status": "stopped", "digest": ""}]
 
 
 def test_a_run_with_an_end_is_kept_whole() -> None:

@@ -44,7 +44,7 @@ def test_a_run_that_is_cancelled_ends_and_its_end_is_sent_as_often_as_it_is_canc
     core.handle(START)
     assert list(core.handle(CANCEL)) == ENDED
     assert list(core.handle(CANCEL)) == ENDED
-    assert _row(store) == {"status": "failed", "reason": "cancelled", "digest": ""}
+    assert _row(store) == {"status": "stopped", "reason": "by user", "digest": ""}
     assert list(core.handle(START)) == ENDED  # a start that is sent again begins nothing
     assert list(RecorderCore(store, resume=True).handle(CANCEL)) == ENDED
 
@@ -63,7 +63,7 @@ def test_a_run_may_be_cancelled_before_its_start_is_received() -> None:
     core = RecorderCore(store)
     assert core.handle(CANCEL) == ()
     assert list(core.handle(START)) == [*checkpoints(START), *ENDED]
-    assert _row(store)["reason"] == "cancelled"
+    assert _row(store)["reason"] == "by user"
 
 
 def test_a_run_that_is_complete_stays_so() -> None:
@@ -141,7 +141,7 @@ def test_a_run_on_shared_services_ends_with_its_command(
     (name,) = set(_runs(endpoint)) - before
     assert (run.returncode, errors.strip()) == (code, f"interrupted; {name} is cancelled")
     row = _runs(endpoint)[name]
-    assert (row["status"], row["reason"]) == ("failed", "cancelled")
+    assert (row["status"], row["reason"]) == ("stopped", "by user")
     _nobody_speaks_of(endpoint, name)
 
 
@@ -155,11 +155,11 @@ def test_a_run_that_was_left_alone_is_cancelled_by_name(endpoint: str) -> None:
     _until(lambda: _runs(endpoint)[name]["t"] > 0)
     done = _cogradar("cancel", name, "--connect", endpoint)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{name} is cancelled\n", "")
-    assert _runs(endpoint)[name]["reason"] == "cancelled"
+    assert _runs(endpoint)[name]["reason"] == "by user"
     _nobody_speaks_of(endpoint, name)
     again = _cogradar("cancel", name, "--connect", endpoint)
     assert (again.returncode, again.stdout) == (2, "")
-    assert again.stderr == f"{name}: has ended already (failed)\n"
+    assert again.stderr == f"{name}: has ended already (stopped)\n"
 
 
 @pytest.mark.zenoh
@@ -183,7 +183,7 @@ def test_the_runs_of_a_load_end_with_its_command(endpoint: str) -> None:
         load.communicate()
     assert load.returncode == 130
     theirs = [row for name, row in _runs(endpoint).items() if name not in before]
-    assert [row["reason"] for row in theirs] == ["cancelled"] * 3
+    assert [row["reason"] for row in theirs] == ["by user"] * 3
     _nobody_speaks_of(endpoint, *(row["run"] for row in theirs))
 
 

@@ -102,7 +102,7 @@ def test_progress_is_reported_and_a_stop_is_obeyed(monkeypatch: pytest.MonkeyPat
     store = in_memory()
     with pytest.raises(Interrupted):
         in_process.play(_start(dwells=40), store=store, report=report, stop=stop)
-    assert store.read("SELECT status, reason FROM run") == [{"status": "failed", "reason": "cancelled"}]
+    assert store.read("SELECT status, reason FROM run") == [{"status": "stopped", "reason": "by user"}]
     assert 0 < seen[-1].t <= 16  # it is reported as far as it is acknowledged
     assert [row["target"] for row in seen[-1].targets] == [1, 2]
 
@@ -118,7 +118,7 @@ def test_a_run_that_fails_in_one_process_is_not_left_running(monkeypatch: pytest
     with pytest.raises(ZeroDivisionError):
         in_process.play(_start(dwells=40), store=store)
     (row,) = store.read("SELECT status, reason FROM run")
-    assert (row["status"], row["reason"] != "cancelled") == ("failed", True)
+    assert (row["status"], row["reason"] != "by user") == ("failed", True)
 
 
 @pytest.mark.zenoh

@@ -80,7 +80,7 @@ def test_a_command_is_granted_and_listed_with_who_asked(metrics: MetricsCore) ->
     expected = {"run": "r", "n": 1, "by": "tower", "action": "power 0.5", "k": 500, "state": "pending", "reason": ""}
     assert {name: row[name] for name in expected} == expected
     assert _get(app, "/api/v1/runs/r/commands") == [row]
-    refused = _post(app, "r", json={"action": {"kind": "drop", "track": 7}})
+    refused = _post(app, "r", json={"action": "drop 7"})
     assert (refused.status_code, refused.json()["detail"]) == (409, "refused: there is no track 7")
     assert [one["state"] for one in _get(app, "/api/v1/runs/r/commands")] == ["pending", "refused"]
     assert _get(app, "/api/v1/runs/r/commands?state=open") == [row]
@@ -91,12 +91,14 @@ def test_a_command_is_granted_and_listed_with_who_asked(metrics: MetricsCore) ->
     [
         ("nobody", {"json": HALF}, 404, "no such run"),
         ("over", {"json": HALF}, 409, "has ended already (failed)"),
-        ("r", {"json": {}}, 400, "action: must be an object"),
+        ("r", {"json": {}}, 400, "action: must be words such as"),
         ("r", {"json": []}, 400, "the body: must be an object of action"),
         ("r", {"json": HALF | {"by": "me"}}, 400, "the body: must be an object of action"),
         ("r", {"json": HALF | {"at": -1}}, 400, "at: must be a dwell"),
         ("r", {"json": {"action": {"kind": "power", "share": 2}}}, 400, "share = 2: must be a number"),
         ("r", {"json": {"action": {"kind": "drop", "track": 0}}}, 400, "track = 0: must be >= 1"),
+        ("r", {"json": {"action": "power"}}, 400, "power: must be power SHARE"),
+        ("r", {"json": {"action": ""}}, 400, "must be one of power SHARE; "),
         ("r", {"content": b"{", "extra": "application/json"}, 400, "the body is no JSON"),
         ("r", {"content": b" " * 5000, "extra": "application/json"}, 413, "longer than 4096 bytes"),
         ("r", {"content": b"power 0.5", "extra": "text/plain"}, 415, "must be application/json"),

@@ -105,7 +105,7 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Snapshot, {"sigma_hat": 0.0}, "needs a sigma_hat > 0"),
         (Snapshot, {"log_evidence": float("nan")}, "finite"),
         (ScanRecall, {"targets": []}, "at least 1 item"),
-        (RunEnd, {"status": "ok"}, "'complete' or 'failed'"),
+        (RunEnd, {"status": "ok"}, "'stopped' or 'failed'"),
         (RunEnd, {"reason": "x" * 501}, "at most 500"),
     ],
 )

@@ -1,10 +1,13 @@
 """The page over runs that are over: links, the timeline, keys, loss and re-acquisition, runs without truth."""
 
 import re
+import time
+from datetime import datetime
 
 import pytest
 from playwright.sync_api import Page, Route, expect
 
+from cogradar.shared.scenario.files import load
 from tests.services.web.page.conftest import WITHIN_MS, Open, Watched, dwell_of, inked, until, wait_for_dwell
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS
 
@@ -106,6 +109,36 @@ def test_runs_are_found_by_words(stored: str, show: Open) -> None:
     expect(rows).to_have_count(1)
     page.get_by_role("searchbox", name="Find").fill("nothing like it")
     expect(page.locator("#runs-more")).to_have_text("No run has these words.")
+
+
+def test_runs_say_when_they_began_how_long_they_are_and_how_they_ended(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?view=runs")
+    over = page.locator("#run-table tr[data-run=over] td")
+    expect(over.nth(0)).to_have_text("complete")
+    expect(over.nth(1)).to_have_text(re.compile(r"\d\d:\d\d"))
+    row = page.evaluate("fetch('/api/v1/runs/over').then((answer) => answer.json())")
+    expect(over.nth(2)).to_have_text(f"{int(row['length_s']) // 60:02}:{round(row['length_s']) % 60:02}")
+    assert row["length_s"] == pytest.approx(row["t"] * load("smoke").radar.motion.dt_s)
+    assert abs(time.time() - datetime.fromisoformat(row["began"]).timestamp()) < 600.0
+    expect(page.locator("#run-table tr[data-run=begun] td").nth(0)).to_have_text("live")
+
+
+def test_a_second_run_is_drawn_beside_the_first(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&view=runs")
+    expect(page.get_by_role("button", name="Compare with wandering")).to_be_disabled()
+    other = page.get_by_role("button", name="Compare with hundred")
+    other.press("Enter")
+    expect(other).to_have_attribute("aria-pressed", "true")
+    chart = page.locator("#compare")
+    expect(chart.locator(".subplot")).to_have_count(2)
+    expect(chart.locator(".scatterlayer .trace")).to_have_count(4)
+    expect(chart).to_have_attribute(
+        "aria-label", re.compile(r"wandering: Detected % [\d.]+, Error km [\d.]+\. hundred: Det")
+    )
+    until(page, "location.search.includes('beside=hundred')")
+    page.get_by_role("button", name="Close").click()
+    expect(chart).to_be_hidden()
+    until(page, "!location.search.includes('beside')")
 
 
 def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Watched) -> None:
