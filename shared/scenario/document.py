@@ -16,8 +16,10 @@ from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).parents[2] / "scenarios").resolve()
-MAX_FILE_BYTES = 1 << 19  # of a scenario: Python reads TOML at some 2 MB a second
-MAX_PIECES = {"=": 20_000, "[": 40_000, ",": 60_000}  # of one: keys, lists and tables, values in lists
+MAX_FILE_BYTES = 1 << 22  # of a scenario
+# Of one: keys; lists and tables; values in lists. Python reads 200 keys or 400 numbers of TOML in a millisecond, so
+# only skies with very many rows of trajectories take longer than a fifth of a second.
+MAX_PIECES = {"=": 20_000, "[": MAX_ROWS + 20_000, ",": 4 * MAX_ROWS}
 MAX_KEYS = 128  # of one table; none that there is has half as many
 MAX_DOTS = 32  # in one key: Python takes the square of their number
 MAX_TRAJECTORY_BYTES = 1 << 23

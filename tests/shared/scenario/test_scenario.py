@@ -251,7 +251,7 @@ def test_what_is_wrong_is_one_line_with_key_value_and_what_is_allowed(
         ),
         (b"", 'empty; begin with extends = "paper", or see `scenarios --show paper`'),
         (b"\xff\xfen\x00", "not valid TOML: 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
-        (b"#" * (2**19 + 1), "larger than 524288 bytes, too large"),
+        (b"#" * (2**22 + 1), "larger than 4194304 bytes, too large"),
     ],
 )
 def test_broken_files(tmp_path: Path, content: bytes, expected: str) -> None:
