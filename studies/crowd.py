@@ -84,7 +84,7 @@ def measure(notify: Callable[[str], None], stop: threading.Event, kinds: Sequenc
 
 def _crowd(kind: Kind, folder: Path, endpoint: str, stop: threading.Event) -> Crowd:
     sky = folder / "crowd.toml"
-    write(Asked(kind.aircraft, MINUTES, SEED, None, None, 0.0, RANGE_KM), sky, force=True)
+    write(Asked(str(kind.aircraft), MINUTES, SEED, None, None, 0.0, RANGE_KM), sky, force=True)
     scenario = load(str(sky), ["radar.max_tracks=300"])
     start = RunStart.of(scenario, Strategy.POWER_AWARE, SEED, kind.dwells, kind.rate_hz)
     looks: list[_Look] = []

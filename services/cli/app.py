@@ -223,12 +223,35 @@ def sky(
     file: Annotated[
         Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, made-up positions.")
     ],
-    aircraft: Annotated[int, typer.Option(min=1, max=500, help="How many there are in these minutes.")] = 12,
-    minutes: Annotated[int, typer.Option(min=1, max=600, help="How long.")] = 20,
+    aircraft: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|NAME,NAME",
+            help="How many, 12 if left out; of a recording the N longest in view, or those with these addresses or"
+            " callsigns; all if left out.",
+        ),
+    ] = None,
+    minutes: Annotated[
+        int | None,
+        typer.Option(min=1, max=600, help="How long: 20 if left out; of a recording from --start on, all if left out."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Another seed is another sky.")] = 1,
     positions: Annotated[
-        Path | None, typer.Option("--from", help="A recording: a CSV file with time, aircraft, latitude, longitude.")
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="A recording, or a folder of them: CSV with time, aircraft, latitude, longitude; JSON of readsb,"
+            " tar1090 or OpenSky; Parquet; ASTERIX.",
+        ),
     ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="UTC", help="Of a recording: positions from then on, such as 2024-05-01T12:00:00Z."),
+    ] = None,
+    ground: Annotated[
+        bool, typer.Option("--ground", help="Of a recording: keep aircraft while they are on the ground.")
+    ] = False,
     origin: Annotated[
         str | None, typer.Option(metavar="LAT,LON", help="Where the radar is, degrees; with --from or FILE.csv.")
     ] = None,
@@ -240,13 +263,30 @@ def sky(
         bool, typer.Option("--heights", help="Aircraft of a recording have their altitudes; else all are at height 0.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""
     with command(at_once=True):
         from cogradar.services.skies import make
 
-        asked = make.Asked(aircraft, minutes, seed, positions, origin, boresight, range_km, heights)
-        say(f"{file}: {make.write(asked, file, force=force)}")
+        asked = make.Asked(
+            aircraft, minutes, seed, positions, origin, boresight, range_km, heights, start=start, ground=ground
+        )
+        made = make.write(asked, file, force=force)
+    if as_json:
+        print_json(made.document)
+        return
+    if made.tally is not None:
+        from cogradar.services.cli.display import recording_table
+        from cogradar.services.cli.terminal import print_tables
+
+        print_tables(out, [recording_table(made.tally)])
+        for line in made.tally.lines:
+            if more := "; ".join(text for text in (line["example"], line["cure"]) if text):
+                say(f"{line['why']}: {more}")
+        for note in made.tally.notes:
+            say(f"note: {note}", style="yellow")
+    say(f"{file}: {made.said}")
 
 
 @app.command()

@@ -27,7 +27,8 @@ from cogradar.services.runs.run import Progress as RunProgress
 from cogradar.shared.scenario.limits import NO_END, said_dwells
 
 if TYPE_CHECKING:
-    from cogradar.services.campaigns.campaign import Tally
+    from cogradar.services.campaigns.campaign import Tally as CampaignTally
+    from cogradar.services.skies.readers.report import Tally
     from cogradar.shared.scoring.prospects import Prospect
 
 COLUMNS = (
@@ -157,7 +158,7 @@ class CampaignDisplay(_Live):
         super().__init__(Progress(*columns, console=console, speed_estimate_period=900.0))
         self._task = self._progress.add_task("runs", total=None)
 
-    def report(self, now: "Tally") -> None:
+    def report(self, now: "CampaignTally") -> None:
         """Show how far the campaign has come."""
         if not now.played:  # what an earlier call played says nothing about the rate
             self._progress.reset(self._task, total=now.total, completed=now.done)
@@ -165,7 +166,7 @@ class CampaignDisplay(_Live):
         self._tell(f"{now.done} of {now.total} runs")
 
 
-def campaign_caption(tally: "Tally", conflicts: int, digest: str) -> str:
+def campaign_caption(tally: "CampaignTally", conflicts: int, digest: str) -> str:
     """What a campaign took, and the digest of its results."""
     minutes, seconds = divmod(round(tally.wall_s), 60)
     lines = [f"{tally.done} of {tally.total} runs, {tally.played} of them now, in {minutes}:{seconds:02d}"]
@@ -188,6 +189,21 @@ def check_table(found: Sequence["Prospect"]) -> Table:
         *(Column(f"P_D {name}", f"{{{name}:.3f}}") for name in found[0].p_d),
     ]
     return Table("", columns, [{**prospect._asdict(), **prospect.p_d} for prospect in found])
+
+
+def recording_table(tally: "Tally") -> Table:
+    """What became of the rows of a recording."""
+    columns = [
+        Column("", "{why}", left=True),
+        Column("rows", "{rows}"),
+        Column("first", "{first}"),
+        Column("last", "{last}"),
+    ]
+    ends = [
+        {"why": why, "rows": n, "first": None, "last": None} for why, n in (("read", tally.rows), ("kept", tally.kept))
+    ]
+    rows = [ends[0], *tally.lines, ends[1]]
+    return Table(tally.form, columns, rows, bold=frozenset({len(rows) - 1}))
 
 
 def run_tables(result: Result) -> list[Table]:

@@ -28,6 +28,8 @@ class Sky(NamedTuple):
     range_km: float  # of the edge
     height_max_km: float = 0.0  # that the radar assumes
     place: Place | None = None  # None: made up, and nowhere
+    aircraft: int | None = None  # None: as many as targets; else some of them fly several times
+    begin_utc: str | None = None  # of clock 0
 
 
 def begins_s(target: Target) -> float:
@@ -40,8 +42,10 @@ def text(sky: Sky) -> str:
     """The scenario file of a sky."""
     dt_s = load(BASE).radar.motion.dt_s
     targets, echo_db = sorted(sky.targets, key=begins_s), 40.0 * log10(sky.range_km) + EDGE_SNR_DB
+    aircraft = len(targets) if sky.aircraft is None else sky.aircraft
+    flights = f" on {len(targets)} flights" if aircraft != len(targets) else ""
     lines = [
-        f"# Made by `{sky.made_by}`: {len(targets)} aircraft, of which the radar is told nothing.",
+        f"# Made by `{sky.made_by}`: {aircraft} aircraft{flights}, of which the radar is told nothing.",
         f'extends = "{BASE}"',
         f'title = "{sky.title}"',
         f"dwells = {max(1, int(sky.seconds / dt_s))}",
@@ -56,7 +60,7 @@ def text(sky: Sky) -> str:
         f"range_max_km = {sky.range_km:g}",
         "",
         *(["[radar.assumes]", f"height_max_km = {sky.height_max_km:g}", ""] if sky.height_max_km > 0.0 else []),
-        *(_site(sky.place) if sky.place is not None else ()),
+        *(_site(sky.place, sky.begin_utc) if sky.place is not None else ()),
         "[world.motion]",
         f"sigma_s_km_s2 = {SIGMA_S}",
     ]
@@ -65,13 +69,14 @@ def text(sky: Sky) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _site(place: Place) -> list[str]:
+def _site(place: Place, begin_utc: str | None) -> list[str]:
     """The table of where the radar of a recording is."""
     return [
         "[site]",
         f"latitude_deg = {place.latitude!r}",
         f"longitude_deg = {place.longitude!r}",
         f"boresight_deg = {place.boresight % 360.0!r}",
+        *([f'begin_utc = "{begin_utc}"'] if begin_utc is not None else ()),
         "",
     ]
 

@@ -1,13 +1,16 @@
 """What `cogradar sky` was asked for, checked, and the file that comes of it."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies import files
 from cogradar.services.skies.place import Place
-from cogradar.services.skies.recorded import recorded, recording
+from cogradar.services.skies.readers.report import Tally
+from cogradar.services.skies.recorded import Recording, recorded, recording
+from cogradar.services.skies.selection import Selection, count
 from cogradar.services.skies.traffic import traffic
+from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.world.targets import Flights
@@ -15,17 +18,31 @@ from cogradar.shared.world.targets import Flights
 HEIGHT_MAX_KM = 12.0  # the radar assumes it of aircraft with heights; higher if one of them is
 
 
+MINUTES, AIRCRAFT = 20, 12  # of made-up traffic
+
+
 class Asked(NamedTuple):
     """The options of the command."""
 
-    aircraft: int
-    minutes: int
+    aircraft: str | None  # how many; of a recording also which
+    minutes: int | None
     seed: int
     positions: Path | None  # a recording; None: made-up traffic
     origin: str | None  # latitude and longitude
     boresight: float
     range_km: float
     heights: bool = False  # of a recording are used
+    start: str | None = None  # of a recording: UTC
+    ground: bool = False  # with the aircraft of a recording that are on the ground
+
+    @property
+    def n(self) -> int:
+        """How many aircraft are made up. Raises BadInput."""
+        if self.aircraft is None:
+            return AIRCRAFT
+        if (n := count(self.aircraft)) is None:
+            raise BadInput(f"--aircraft {self.aircraft}: must be 1 .. 500; names of aircraft need --from")
+        return n
 
     @property
     def place(self) -> Place:
@@ -41,14 +58,23 @@ class Asked(NamedTuple):
         return Place(latitude, longitude, self.boresight)
 
 
-def write(asked: Asked, file: Path, *, force: bool) -> str:
+class Made(NamedTuple):
+    """What was written."""
+
+    said: str
+    document: dict[str, Any]  # what `--json` prints
+    tally: Tally | None = None  # of a recording
+
+
+def write(asked: Asked, file: Path, *, force: bool) -> Made:
     """Write a scenario, or with the suffix .csv a recording; returns what is in it. Raises BadInput."""
     if file.suffix not in {".toml", ".csv"} or (file.suffix == ".csv" and asked.positions is not None):
         raise BadInput(f"--out {file}: must end with .toml{'' if asked.positions is not None else ' or .csv'}")
-    if asked.heights and asked.positions is None:
-        raise BadInput("--heights: needs --from, a recording with altitudes")
+    alone = {"--heights": asked.heights, "--start": asked.start is not None, "--ground": asked.ground}
+    if asked.positions is None and (given := [name for name, is_given in alone.items() if is_given]):
+        raise BadInput(f"{given[0]}: needs --from, a recording")
     if asked.positions is not None:
-        return _write(_of_recording(asked, asked.positions), file, force=force)
+        return _of_recording(asked, asked.positions, file, force=force)
     sky = _made_up(asked)
     if file.suffix == ".toml":
         return _write(sky, file, force=force)
@@ -59,31 +85,57 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
     }
     flights = Flights(WorldConfig.model_validate(world), 1.0, asked.seed)
     files.save(recording(flights, sky.seconds, asked.place), file, force=force, check=lambda _: None)
-    return f"positions of {len(sky.targets)} aircraft in {asked.minutes} minutes"
+    said = f"positions of {len(sky.targets)} aircraft in {sky.seconds // 60} minutes"
+    return Made(said, {"file": str(file), "aircraft": len(sky.targets), "seconds": sky.seconds})
 
 
-def _write(sky: files.Sky, file: Path, *, force: bool) -> str:
+def _write(sky: files.Sky, file: Path, *, force: bool, found: Recording | None = None) -> Made:
     scenario = files.save(files.text(sky), file, force=force, check=lambda part: load(str(part)))
-    there = len(scenario.starting)
-    return f"{scenario.n_target} aircraft in {scenario.dwells} dwells, {there} of them there at the start"
+    there, n = len(scenario.starting), scenario.n_target
+    aircraft = found.aircraft if found is not None else n
+    what = f"{aircraft} aircraft" + (f" on {n} flights" if n != aircraft else "")
+    document = {"file": str(file), "aircraft": aircraft, "flights": n, "dwells": scenario.dwells, "at_the_start": there}
+    if found is not None:
+        document |= {"begin_utc": found.begin_utc, **found.tally.document}
+    said = f"{what} in {scenario.dwells} dwells, {there} of them there at the start"
+    return Made(said, document, found.tally if found is not None else None)
 
 
 def _made_up(asked: Asked) -> files.Sky:
-    seconds = 60 * asked.minutes
-    command = f"cogradar sky --aircraft {asked.aircraft} --seed {asked.seed} --minutes {asked.minutes}"
-    title = f"{asked.aircraft} aircraft that come and go within {asked.range_km:g} km, seed {asked.seed}"
-    targets = traffic(asked.aircraft, seconds, asked.range_km, asked.seed)
-    return files.Sky(title, f"{command} --range {asked.range_km:g}", targets, seconds, asked.range_km)
+    n, minutes = asked.n, asked.minutes or MINUTES
+    command = f"cogradar sky --aircraft {n} --seed {asked.seed} --minutes {minutes}"
+    title = f"{n} aircraft that come and go within {asked.range_km:g} km, seed {asked.seed}"
+    targets = traffic(n, 60 * minutes, asked.range_km, asked.seed)
+    return files.Sky(title, f"{command} --range {asked.range_km:g}", targets, 60 * minutes, asked.range_km)
 
 
-def _of_recording(asked: Asked, positions: Path) -> files.Sky:
+def _of_recording(asked: Asked, positions: Path, file: Path, *, force: bool) -> Made:
     place = asked.place
-    found = recorded(positions, place, asked.range_km, heights=asked.heights)
-    where = f"--origin {place.latitude:g},{place.longitude:g} --boresight {place.boresight:g}"
-    name = "".join(character if character.isprintable() else "?" for character in positions.name)
-    command = f"cogradar sky --from {name} {where} --range {asked.range_km:g}"
-    command += " --heights" if asked.heights else ""
+    selection = Selection.of(asked.start, asked.minutes, asked.aircraft, ground=asked.ground)
+    found = recorded(positions, place, asked.range_km, heights=asked.heights, selection=selection)
+    given = [
+        f"--from {positions.name or positions}",
+        f"--origin {place.latitude:g},{place.longitude:g} --boresight {place.boresight:g}",
+        f"--range {asked.range_km:g}",
+        "--heights" if asked.heights else "",
+        f"--start {asked.start}" if asked.start is not None else "",
+        f"--minutes {asked.minutes}" if asked.minutes is not None else "",
+        f"--aircraft {asked.aircraft}" if asked.aircraft is not None else "",
+        "--ground" if asked.ground else "",
+    ]
+    command = printable(f"cogradar sky {' '.join(text for text in given if text)}")
     title = f"{found.aircraft} recorded aircraft within {asked.range_km:g} km"
     heights = [row[3] for target in found.targets for row in target["trajectory"]] if asked.heights else []
     highest_km = max([HEIGHT_MAX_KM, *heights]) if heights else 0.0
-    return files.Sky(title, command, found.targets, found.seconds, asked.range_km, highest_km, place)
+    sky = files.Sky(
+        title,
+        command,
+        found.targets,
+        found.seconds,
+        asked.range_km,
+        highest_km,
+        place,
+        aircraft=found.aircraft,
+        begin_utc=found.begin_utc,
+    )
+    return _write(sky, file, force=force, found=found)
