@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
+from cogradar.services.emulator.own_thread import OpensInOwnThread
 from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput, StoreFailed
@@ -28,8 +29,7 @@ def open_front_end(name: str) -> OpenFrontEnd:
         return SimulatedFrontEnd.open
     if name.startswith(_RECORDED):
         return _recorded(name)
-    make = _named(name)
-    return lambda checkpoint: make(Settings.of(checkpoint))
+    return OpensInOwnThread(_named(name))
 
 
 def settled(name: str) -> str:

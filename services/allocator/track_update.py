@@ -63,10 +63,10 @@ def updated(
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
     alive = [plan for plan in plans if plan.status == "tracking"]
-    is_new = np.array([_is_told(told, plan.target) for plan in alive], dtype=np.bool_)
+    is_new = np.array([_is_told(told, plan) for plan in alive], dtype=np.bool_)
     alive = _one_each(radar, response, alive, scan.k, is_new)
-    # In real time a track may have begun after the waveform of this scan was sent.
-    known = set(said.ids.tolist())
+    # In real time a track may have begun, or have flown elsewhere, after the waveform of this scan was sent.
+    known = set(said.ids.tolist()) if told.age == 0 else set[int]()
     untold = expected(radar, [plan for plan in alive if plan.target not in known], scan.k).tolist()
     found = unclaimed(response, told)
     found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found
@@ -125,8 +125,13 @@ def _places(states: Floats, covariances: Floats) -> Floats:
     return np.column_stack((spatial_frequency(states), nu_sigma, np.minimum(range_km, FAR), range_sigma))
 
 
-def _is_told(scan: Detections, track: int) -> bool:
-    """Whether a scan tells something of a track: one of its looks was measured, or each look that was asked for."""
+def _is_told(scan: Detections, plan: Plan) -> bool:
+    """Whether a scan tells something of a track: one of its looks was measured, or each look that was asked for. Looks
+    of an older waveform tell something if they found it.
+    """
+    if scan.age > 0:
+        return plan.k == scan.k and plan.detected
+    track = plan.target
     if scan.unmeasured is None:
         return True
     at = scan.row_of(track)

@@ -367,7 +367,8 @@ def _note(run: _Run, scan: Scan, now_s: float) -> None:
 def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, asked: Transmission) -> Scan | str:
     """The scan of a dwell, or why it cannot be."""
     try:
-        measured = compared(run.radar, asked, measured)
+        sent_k = -1 if waveform is None else waveform.k
+        measured = compared(run.radar, asked, measured, sent_k if sent_k < k - 1 else None)
         is_lit = measured.beams is not None and (np.asarray(measured.beams) >= 0).any()
         t = run.t + (1 if is_lit or run.radar.is_unknown else 0)
         return scan_message(run.settings, k, t, measured, waveform)

@@ -146,8 +146,10 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_directions(waveform.beams, waveform.nus, radar)
 
 
-def compared(radar: RadarConfig, asked: Transmission, measured: ScanData) -> ScanData:
+def compared(radar: RadarConfig, asked: Transmission, measured: ScanData, waveform_k: int | None = None) -> ScanData:
     """What was measured, with the beams that were asked for and the directions of what is left out.
+
+    waveform_k : dwell whose waveform was radiated; None: the usual one
 
     Where the front end says where its beams really were, as a recording does, they are left as they are. Raises
     SenselessScan for a cell that was not asked for, or with a number that cannot be.
@@ -163,6 +165,7 @@ def compared(radar: RadarConfig, asked: Transmission, measured: ScanData) -> Sca
             beam_nus=asked.nus,
             gates=asked.gates,
             unmeasured=np.array(unmeasured) if unmeasured else None,
+            waveform_k=waveform_k,
         )
     is_whole = measured.fault is None or measured.unmeasured is None
     return replace(measured, fault=None if is_whole else fault_line(measured.fault))
@@ -255,7 +258,9 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData, wavefor
     try:
         with np.errstate(over="ignore"):  # what is infinite then is refused
             said |= {
-                name: values if name == "fault" else np.asarray(values, dtype=_TYPES.get(name, np.float64))
+                name: values
+                if name in {"fault", "waveform_k"}
+                else np.asarray(values, dtype=_TYPES.get(name, np.float64))
                 for name, values in vars(measured).items()
                 if values is not None and name != "roster"
             }

@@ -115,6 +115,8 @@ class ScanData:
     unmeasured: NDArray[np.float64] | None = None
     lost_km: NDArray[np.float64] | None = None  # (v,) centres of range cells that were asked for and not received
     fault: str | None = None  # why nothing was measured
+    # If `beams` is there: dwell whose waveform these beams are of, where it is older than k-1; None: it is not.
+    waveform_k: int | None = None
 
     @classmethod
     def not_measured(cls, fault: str | None = None) -> Self:

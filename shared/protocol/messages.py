@@ -187,6 +187,8 @@ class Scan(Message):
     # (v,) centres of range cells that were asked for and not received, ascending; None: all were received.
     lost_km: Measured | None = None
     fault: Annotated[str, Field(max_length=MAX_FAULT)] | None = None  # why nothing was measured, if that is known
+    # Dwell whose waveform was radiated, and whose looks these are, if it is older than k-1; -1: there was none.
+    waveform_k: Annotated[int, Field(ge=-1)] | None = None
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -204,6 +206,8 @@ class Scan(Message):
             raise ValueError("every beam must be one of bins, or -1")
         if self.lost_km is not None and (self.lost_km.size == 0 or (self.lost_km[1:] <= self.lost_km[:-1]).any()):
             raise ValueError("lost_km must be ranges, at least one, ascending")
+        if self.waveform_k is not None and self.waveform_k >= self.k - 1:
+            raise ValueError(f"waveform_k must be below {self.k - 1}, where the usual waveform is not said")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_beams(self.beams, self.beam_nus, self.gates, self.roster)

@@ -31,6 +31,7 @@ class _Rows(NamedTuple):
     gates: Floats  # (M, 2) ranges that were tested for each track, km; (0, 0): all
     unmeasured: Floats | None = None  # (u,) directions of looks that were asked for and have no row; None: all have one
     lost_km: Floats | None = None  # (v,) centres of range cells in which no look measured; None: there are none
+    waveform_k: int | None = None  # dwell whose waveform was radiated; None: k-1, the usual one
     # Tracks of an unknown number only.
     ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
     # (M, 5) nu, its standard deviation, range, its standard deviation in km, probability of existence
@@ -69,6 +70,11 @@ class Detections(_Rows):
         centres = grid(n_bin)[is_new]
         filled |= {"bins": np.insert(self.bins, at, np.flatnonzero(is_new)), "nus": np.insert(self.nus, at, centres)}
         return self._replace(**filled, nu_hats=np.insert(self.nu_hats, at, centres))
+
+    @property
+    def age(self) -> int:
+        """Dwells for which the looks are older than usual: they were asked for when targets were elsewhere."""
+        return 0 if self.waveform_k is None else self.k - 1 - self.waveform_k
 
     def is_unmeasured(self, at: int) -> bool:
         """Whether a look that was made for the track in this row of `beams` was not measured, or nothing was at all."""

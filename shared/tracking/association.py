@@ -25,12 +25,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
 from cogradar.shared.signal.response import FAR_KM, Response, strongest_of_each
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import Share, share_of
-from cogradar.shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
+from cogradar.shared.tracking.belief.likelihood import (
+    Looks,
+    found_look,
+    likelihood_of,
+    missed_looks,
+    shares_looked_at,
+)
 from cogradar.shared.tracking.belief.resampling import weigh
 from cogradar.shared.tracking.existence import TrackLooks, p_fa_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
@@ -40,8 +46,10 @@ from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
 Ints = NDArray[np.int64]
 Gate = tuple[float, float]  # ranges, km
 
+MOST_COVERED = 0.9  # of a belief, in the looks of an older waveform: with less of it they are not aimed at the target
 MOST_LOST = 0.01  # of a belief, in range cells that were not received: with more of it a track coasts
 _BROAD = 1.0  # 1/variance of a direction that was not measured
+_SIGMAS = 4.0  # of a belief, around which a detection in the looks of an older waveform may be its own
 _ROUNDING = 1e-9  # of a direction: two tracks are as near
 
 
@@ -65,6 +73,9 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     if scan.expected is None:
         share, missed = _alone(model, state, scan, rows, gate)
         own = TrackLooks()
+    elif scan.age > 0:
+        share, missed = _by_belief(model, state, scan, rows, gate)
+        own = _track_looks(model, scan, at, share, rows, gate)
     else:
         share = share_of(model.response, scan, at)
         missed = _missed_beside(model.response, scan, rows, share)
@@ -80,6 +91,7 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     limit = float(scan.limits[missed[0]]) if missed.size else model.sensor.threshold
     power = float(scan.signature_power[missed].mean()) if missed.size else state.power
     looks = missed_looks(model.response, nus, sigma, limit, gate)
+    own = own._replace(is_stale=_is_stale(model, state, scan, looks))
     is_looked = nus.size > 0 or (scan.expected is None and rows.size > 0)
     return Association(looks, power, is_looked, share.in_doubt, own)
 
@@ -91,6 +103,16 @@ def _is_lost(model: TrackerModel, state: TrackState, scan: Detections) -> bool:
     expected = predicted_states(state.belief.sample(), model.motion.dt)
     ranges_km = np.hypot(expected[:, 0], expected[:, 2])
     return bool(scan.is_lost(ranges_km, model.response.range_cell_km).mean() > MOST_LOST)
+
+
+def _is_stale(model: TrackerModel, state: TrackState, scan: Detections, looks: Looks) -> bool:
+    """Whether looks are of an older waveform, and the target is expected elsewhere by now: a miss says no more than the
+    belief does.
+    """
+    if scan.age == 0 or scan.expected is None:
+        return False
+    expected = predicted_states(state.belief.sample(), model.motion.dt)
+    return bool(shares_looked_at(looks, expected).sum() < MOST_COVERED)
 
 
 def is_beam(model: TrackerModel, scan: Detections) -> bool:
@@ -235,6 +257,23 @@ def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints,
         rows, is_detected = rows[is_own], is_detected[is_own]
     hit = _own_echo(model, state, scan, echoes(model.response, scan, rows[is_detected]), gate)
     return Share(hit), _undetected(rows, scan.nus, scan.statistic, scan.limits)
+
+
+def _by_belief(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[Share, Ints]:
+    """As `_alone`, in looks of an older waveform: its roster expects the tracks where they are no longer.
+
+    The detection is the one that the belief makes most probable, in the look of any track, of those near enough to
+    where it expects the target.
+    """
+    expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
+    nus, ranges_km = spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
+    off_nu, off_km = apart(scan.nu_hats, float(nus.mean())), np.abs(scan.ranges_km - ranges_km.mean())
+    is_near = off_nu < _SIGMAS * np.hypot(nus.std(), scan.nu_sigmas) + 0.5 * response.lobe
+    if response.measures_range:
+        is_near &= off_km < _SIGMAS * ranges_km.std() + response.range_cell_km
+    found = echoes(response, scan, np.flatnonzero(scan.is_over() & is_near))
+    share = Share(_likeliest(model, state, scan, found, gate)[0] if found.size else -1)
+    return share, _missed_beside(response, scan, rows, share)
 
 
 def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Share) -> Ints:

@@ -63,6 +63,7 @@ class TrackLooks(NamedTuple):
     u: float = 1.0  # ... by the statistic of that detection
     unresolved: float = 0.0  # without one: probability that the target's echo is in the cell of another's
     is_unmeasured: bool = False  # one that was asked for was not measured
+    is_stale: bool = False  # they were asked for before the target flew elsewhere, as its belief says
 
 
 class Judged(TypedDict):
@@ -148,8 +149,8 @@ class BernoulliExistence:
         if own.is_hit:
             ratio = hit_ratio(own.p_fa, own.u)
         elif own.is_looked:
-            ratio = miss_ratio(evidence, own.unresolved, 0.0 if own.is_unmeasured else LEAST_P_D)
-        elif own.is_unmeasured:
+            ratio = miss_ratio(evidence, own.unresolved, 0.0 if own.is_unmeasured or own.is_stale else LEAST_P_D)
+        elif own.is_unmeasured or own.is_stale:
             ratio = 1.0
         existence = self._existence(_odds(existence) * ratio)
         confirmed = self.is_confirmed(existence) or (confirmed and existence > DOUBTED_BELOW)

@@ -19,11 +19,13 @@ from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform, roster_of
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.wire.membership import LEAVE_AFTER_S
 from cogradar.shared.wire.session import LEASE_MS
 
 NAMES = ("recorder-0", "emulator-0", "allocator-0", "planner-0", "planner-1")
 UNKNOWN = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2")
+TRAFFIC = "deploy/scenarios/traffic.toml"
 RATE_HZ, AT_S, SECONDS = 5.0, 5.0, 10.0
 TICKS_S = 0.75  # until the recorder looks, and its checkpoint comes
 
@@ -92,15 +94,38 @@ def disk() -> Iterator[Disk]:
     found.close()
 
 
-def _played(disk: Disk, rate_hz: float, do: Callable[[Cluster], None]) -> Heard:
+def _halt(cluster: Cluster, name: str, away_s: float) -> None:
+    process, fault = cluster.processes[name], Fault(Kind.HANG, cluster.now_s, cluster.now_s + away_s, name)
+    process.halted.add(fault)
+
+    def go_on() -> None:
+        process.halted.discard(fault)
+        cluster.serve(process)
+
+    cluster.at(fault.until_s, go_on)
+
+
+def _slow_down(cluster: Cluster, name: str, away_s: float) -> None:
+    """Let it hang most of the time."""
+    for i in range(round(away_s)):
+        cluster.at(AT_S + i, lambda: _halt(cluster, name, 0.9))
+
+
+def _played(
+    disk: Disk,
+    rate_hz: float,
+    do: Callable[[Cluster], None],
+    scenario: Scenario | None = None,
+    seconds: float = SECONDS,
+) -> Heard:
     """Some seconds of a run in real time, in which something is done to the processes once two tracks are confirmed."""
     cluster = Heard(1, disk)
     for name in NAMES:
         cluster.start(name)
-    start = RunStart.of(load("smoke", UNKNOWN), Strategy.POWER_AWARE, 1, 10_000, rate_hz)
+    start = RunStart.of(scenario or load("smoke", UNKNOWN), Strategy.POWER_AWARE, 1, 10_000, rate_hz)
     cluster.ask([start.model_copy(update={"run": "take"})])
     cluster.at(AT_S, lambda: do(cluster))
-    while cluster.step(SECONDS):
+    while cluster.step(seconds):
         pass
     return cluster
 
@@ -129,6 +154,21 @@ def test_a_process_that_comes_back_after_a_second_ends_no_track(disk: Disk, name
     assert not cluster.ended(confirmed)
     assert confirmed <= cluster.confirmed(SECONDS)
     assert cluster.rosters[-1][0] > SECONDS - 0.5
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 4.0, 10.0])
+@pytest.mark.parametrize("fault", [_halt, _restart, _slow_down])
+def test_looks_that_are_repeated_while_no_allocator_answers_end_no_track(
+    disk: Disk, rate_hz: float, fault: Callable[[Cluster, str, float], None]
+) -> None:
+    """In seven seconds aircraft fly out of their looks and gates: in each dwell a second passes for them."""
+    away_s, until_s = 7.0, AT_S + 11.0
+    cluster = _played(disk, rate_hz, lambda cluster: fault(cluster, "allocator-0", away_s), load(TRAFFIC), until_s)
+    confirmed = cluster.confirmed(AT_S)
+    assert confirmed
+    assert not cluster.ended(confirmed)
+    assert confirmed <= cluster.confirmed(until_s)
+    assert cluster.rosters[-1][0] > until_s - 1.0
 
 
 def test_allocators_that_come_and_go_give_each_new_track_the_next_number(disk: Disk) -> None:

@@ -207,6 +207,13 @@ def test_a_limit_that_nothing_false_passes_makes_a_detection_certain() -> None:
     assert 0.0 < p_fa_of(1e-300, 10) <= 1.0
 
 
+def test_a_stale_look_is_judged_by_the_belief_alone() -> None:
+    existence = _existence()
+    missed, unseen = TrackLooks(is_looked=True, is_stale=True), TrackLooks(is_stale=True)
+    assert existence.after(0.5, True, missed, 0.99)["existence"] == pytest.approx(0.99 / 1.99)
+    assert existence.after(0.5, True, unseen, 0.3)["existence"] == pytest.approx(0.5)
+
+
 def test_a_look_that_was_not_measured_beside_a_miss_takes_no_odds() -> None:
     """The belief knows that the target is in the other look: the miss costs what it says, and no floor."""
     existence = _existence()

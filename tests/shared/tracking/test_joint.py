@@ -201,6 +201,23 @@ def test_a_detection_of_the_search_serves_a_track_that_is_not_lit() -> None:
     assert other.looked[:, 3:].sum() == 0.0  # it was not missed either
 
 
+def test_looks_of_an_older_waveform_are_judged_by_where_the_belief_expects_the_target() -> None:
+    """Their roster expects the track elsewhere: there a miss is none, and an echo is not its own."""
+    certain = tentative()._replace(existence=0.99, confirmed=True)
+    there, elsewhere = scan_of([(0.1, 0.1, 50.25)], [(0.1, 50.2)]), scan_of([(0.3, 0.3, 50.25)], [(0.3, 50.2)])
+    missed = scan_of([], [(0.3, 50.2)], missed=[0.3])
+    for state in (tentative(), certain):
+        assert observe(UNKNOWN, state, there._replace(waveform_k=-1)).detected
+        for scan in (elsewhere, missed):
+            stale = observe(UNKNOWN, state, scan._replace(waveform_k=-1))
+            assert not stale.detected
+            assert stale.existence > 0.99 * state.existence
+            fresh = observe(UNKNOWN, state, scan)
+            assert fresh.detected or odds(fresh) < 0.75 * odds(state)
+    own = observe(UNKNOWN, tentative(), scan_of([], [(0.1, 50.2)], missed=[0.1])._replace(waveform_k=-1))
+    assert odds(own) < 0.75 * odds(tentative())  # it was aimed well all the same
+
+
 def test_a_detection_says_more_of_a_target_the_rarer_noise_makes_it_and_a_miss_less_where_another_hides_it() -> None:
     """By the limit and the statistic, in as many range cells as the gate of each look has."""
     n_cell = 2 * 9  # gate: 46 .. 55 km
