@@ -102,6 +102,7 @@ function links() {
     else anchor.removeAttribute("aria-current");
   }
   put(byId("zoom"), `${view.zoom}×`);
+  byId("north").setAttribute("aria-pressed", String(view.north));
   byId("zoom-out").disabled = view.zoom === 1;
 }
 
@@ -135,6 +136,7 @@ byId("help-open").addEventListener("click", () => byId("help").showModal());
 byId("zoom-in").addEventListener("click", () => zoom(1));
 byId("zoom-out").addEventListener("click", () => zoom(-1));
 byId("particles").addEventListener("click", particles);
+byId("north").addEventListener("click", () => show({ north: !view.north }));
 byId("snapshot").addEventListener("click", () => radar.snapshot());
 byId("film").addEventListener("click", () => radar.film());
 byId("scope").addEventListener("wheel", (event) => {
@@ -156,6 +158,7 @@ listen({
   ",": () => session.faster(-1), ".": () => session.faster(1), digit: toTarget, j: () => target(1), k: () => target(-1),
   Escape: () => (command.mode ? command.turn(null) : show({ target: null, zoom: 1, particles: false })), "+": () => zoom(1), "-": () => zoom(-1),
   0: () => show({ zoom: 1 }), p: particles, c: () => command.toggle(),
+  n: () => byId("north").hidden || show({ north: !view.north }),
   s: () => command.aim("sector"), o: () => command.aim("look"), g: to("radar"), t: to("list"), m: to("machines"), r: to("runs"), d: theme,
   "?": () => byId("help").showModal(),
 });

@@ -63,6 +63,7 @@ export class Radar {
     this.all.clear();
     this.charts.clear();
     this.legend();
+    byId("north").hidden = !radar?.site;
     says.noEvents(radar?.is_unknown);
     put(byId("dwell"), "–");
     put(byId("dwell-of"), "");
@@ -91,7 +92,7 @@ export class Radar {
     const cloud = this.particles.of(this.dwells?.run, dwell, this.isCalm);
     if (dwell) this.range = rangeOf(radar, dwell, this.range);
     const range = this.range ?? radar?.max_range_km;
-    const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
+    const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud, isNorthUp: view.north && Boolean(radar?.site) };
     picture.told = { ...directions(this.orders.of(dwell)), asked: this.command.asked };
     this.legend(dwell, picture.told);
     if (isList && dwell) this.detail(picture);

@@ -1,6 +1,7 @@
 // The scope: the half-plane before the radar. A canvas: 100 tracks are drawn in some 5 ms, which the charts' library
 // needs 170 ms for.
 
+import { graticule } from "./graticule.js";
 import { fit, radians, rings, wedge } from "./scope_frame.js";
 import { color, colorOf, symbolOf, trace } from "./palette.js";
 import { commanded } from "./scope_orders.js";
@@ -31,6 +32,7 @@ export class Scope {
     context.rect(0, 0, frame.width, frame.height);
     context.clip();
     const { dwell } = picture;
+    if (picture.isNorthUp) graticule(frame, picture.radar.site);
     if (dwell) jammers(frame, picture);
     if (dwell) beams(frame, picture);
     commanded(frame, picture);
@@ -48,9 +50,7 @@ export class Scope {
   // Range and angle of a point of the canvas; null beside the half-plane.
   placeAt(px, py) {
     if (!this.frame || this.frame.scale <= 0) return null;
-    const { at, scale } = this.frame;
-    const [x0, y0] = at(0, 0);
-    const [x, y] = [(y0 - py) / scale, (px - x0) / scale];
+    const [x, y] = this.frame.from(px, py);
     return x < 0 ? null : { range: Math.hypot(x, y), angle: Math.atan2(y, x) };
   }
 
@@ -67,8 +67,7 @@ export class Scope {
 
 // The directions of jammers: a full line while one is on, a dashed one while it is off.
 function jammers(frame, { radar, dwell }) {
-  const { context, at, reach } = frame;
-  const [x, y] = at(0, 0);
+  const { context, at, polar, reach } = frame;
   const now = dwell.t * radar.dt_s;
   context.strokeStyle = color("warn");
   for (const one of radar.jammers ?? []) {
@@ -78,8 +77,8 @@ function jammers(frame, { radar, dwell }) {
     context.lineWidth = isOn ? 3 : 1;
     context.globalAlpha = isOn ? 1 : 0.5;
     context.beginPath();
-    context.moveTo(x, y);
-    context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
+    context.moveTo(...at(0, 0));
+    context.lineTo(...polar(reach, angle));
     context.stroke();
   }
   context.setLineDash([]);
@@ -123,18 +122,17 @@ function search(frame, edges) {
 // Around the edge: cells that were looked at, those over the threshold, of these the false alarms, blind cells, and in
 // another colour those that were not measured.
 function rim(frame, { radar, dwell }) {
-  const { context, at, rim: radius } = frame;
+  const { context, arc, polar, rim: radius } = frame;
   const { cells } = dwell;
   const edges = radar.bin_edges_deg;
   if (!cells || !edges || frame.zoom > 1) return;
-  const [x, y] = at(0, 0);
   const isFalse = new Set(dwell.false_alarms ?? []);
   context.lineWidth = 6;
   context.strokeStyle = color("alarm");
   context.setLineDash([2, 4]);
   for (const bin of cells.unmeasured ?? []) {
     context.beginPath();
-    context.arc(x, y, radius + 4, radians(edges[bin]) - Math.PI / 2, radians(edges[bin + 1]) - Math.PI / 2);
+    arc(radius + 4, radians(edges[bin]), radians(edges[bin + 1]));
     context.stroke();
   }
   context.setLineDash([]);
@@ -143,15 +141,14 @@ function rim(frame, { radar, dwell }) {
     const isOver = cells.detected[i];
     const isBlind = cells.blind?.[i] ?? false;
     context.beginPath();
-    context.arc(x, y, radius + 4, from - Math.PI / 2, to - Math.PI / 2);
+    arc(radius + 4, from, to);
     context.lineWidth = isOver || isBlind ? 6 : 2;
     context.setLineDash(isBlind ? [2, 2] : []);
     context.strokeStyle = isBlind ? color("warn") : isOver ? color("ink") : color("muted");
     context.stroke();
     context.setLineDash([]);
     if (!isFalse.has(cells.bin[i])) continue;
-    const middle = (from + to) / 2;
-    const [cx, cy] = [x + (radius + 4) * Math.sin(middle), y - (radius + 4) * Math.cos(middle)];
+    const [cx, cy] = polar(radius + 4, (from + to) / 2);
     context.beginPath();
     for (const [dx, dy] of [[-5, -5], [-5, 5]]) {
       context.moveTo(cx + dx, cy + dy);
@@ -198,7 +195,7 @@ function trails({ context, at }, { trail, dwell, states, target }) {
   context.globalAlpha = 1;
 }
 
-function uncertainty({ context, at, scale }, one, { states, target }) {
+function uncertainty({ context, at, scale, turn: turned }, one, { states, target }) {
   if (!one.covariance || one.x_hat === null) return;
   const [xx, xy, yy] = one.covariance;
   const [middle, half] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
@@ -206,7 +203,7 @@ function uncertainty({ context, at, scale }, one, { states, target }) {
   const turn = 0.5 * Math.atan2(2 * xy, xx - yy); // from the x axis, which points up
   const [x, y] = at(one.x_hat, one.y_hat);
   context.beginPath();
-  context.ellipse(x, y, a, b, turn - Math.PI / 2, 0, TAU);
+  context.ellipse(x, y, a, b, turn + turned - Math.PI / 2, 0, TAU);
   context.fillStyle = context.strokeStyle = colorOf(one.target);
   context.globalAlpha = 0.12;
   context.fill();

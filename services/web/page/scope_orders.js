@@ -49,14 +49,13 @@ function hatched(frame, from, to) {
 }
 
 // Two arcs along the edge.
-function twice({ context, at, reach, zoom }, from, to) {
+function twice({ context, arc, reach, zoom }, from, to) {
   if (zoom > 1) return;
-  const [x, y] = at(0, 0);
   context.strokeStyle = color("accent");
   context.lineWidth = 1.5;
   for (const inset of [4, 9]) {
     context.beginPath();
-    context.arc(x, y, reach - inset, from - Math.PI / 2, to - Math.PI / 2);
+    arc(reach - inset, from, to);
     context.stroke();
   }
 }

@@ -29,6 +29,7 @@ function read() {
     speed: one("speed", SPEEDS),
     particles: asked.get("particles") === "1",
     beside: asked.get("beside"),
+    north: asked.get("north") === "1",
   };
 }
 
@@ -40,6 +41,7 @@ export function link(changes = {}) {
   for (const name of ["run", "dwell", "target", "speed", "beside"]) if (shown[name] !== null) query.set(name, shown[name]);
   if (shown.view !== "radar") query.set("view", shown.view);
   if (shown.zoom !== 1) query.set("zoom", shown.zoom);
+  if (shown.north) query.set("north", "1");
   if (shown.particles) query.set("particles", "1");
   const text = query.toString();
   return text ? `?${text}` : location.pathname;

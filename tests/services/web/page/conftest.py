@@ -30,7 +30,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
 from tests.services.loop import play
 from tests.services.web import unknown_run
-from tests.services.web.conftest import record
+from tests.services.web.conftest import SITE, record
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS, hundred, wandering
 
 WITHIN_MS = 20_000
@@ -186,9 +186,12 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="package")
 def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A run that is over, by-hand, whose tracks begin and end."""
+    """Runs that are over, whose tracks begin and end: by-hand, and the same on the earth (sited)."""
     path = tmp_path_factory.mktemp("unknown") / "runs.db"
-    record(path, {"by-hand": unknown_run.sent()})
+    start, *sent = unknown_run.sent()
+    assert isinstance(start, RunStart)
+    sited = start.model_copy(update={"scenario": start.scenario | {"site": SITE}})
+    record(path, {"sited": [sited, *sent], "by-hand": [start, *sent]})
     yield from serve(path)
 
 
