@@ -103,6 +103,15 @@ class Store:
                 is_done = is_done and run in self._finished
         return is_done
 
+    def derive_to(self, run: str, k: int) -> None:
+        """Score a run up to its dwell k, or as far as it is."""
+        while run not in self._finished:
+            with self._lock:
+                scored_k = self._scorers[run].k if run in self._scorers else 0
+                if self._derive(run, min(max(k + 1 - scored_k, 0), AT_ONCE)) or self._scorers[run].k > k:
+                    return
+            time.sleep(LET_OTHERS_S)
+
     def forget_dropped(self) -> None:
         """Forget the runs that are no longer in the journal."""
         with self._lock:

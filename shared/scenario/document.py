@@ -11,12 +11,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cogradar.shared.scenario.faults import Loc, printable
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, Loc, printable
 from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).parents[2] / "scenarios").resolve()
-MAX_FILE_BYTES = 1 << 22
+MAX_FILE_BYTES = 1 << 22  # of a scenario
+# Of one: keys; lists and tables; values in lists. Python reads 200 keys or 400 numbers of TOML in a millisecond, so
+# only skies with very many rows of trajectories take longer than a fifth of a second.
+MAX_PIECES = {"=": 20_000, "[": MAX_ROWS + 20_000, ",": 4 * MAX_ROWS}
+MAX_KEYS = 128  # of one table; none that there is has half as many
+MAX_DOTS = 32  # in one key: Python takes the square of their number
 MAX_TRAJECTORY_BYTES = 1 << 23
 TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file
 ELEMENT_ERRORS = ["gain_db", "phase_deg"]  # header of a file with errors of antennas
@@ -158,11 +163,16 @@ def _value(text: str) -> Any:
 
 def _decoded(path: Path) -> dict[str, Any]:
     try:
-        tables = tomllib.loads(_text(path))
+        text = _text(path)
+        _check_size(text)
+        tables = tomllib.loads(text)
+        _check_keys(tables)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
+    except ScenarioError as error:
+        raise ScenarioError(printable(f"{path}: {error}")) from None
     except RecursionError:
         raise ScenarioError(printable(f"{path}: not valid TOML: nested too deeply")) from None
     except ValueError as error:  # also of decoding, and of integers with thousands of digits
@@ -170,6 +180,32 @@ def _decoded(path: Path) -> dict[str, Any]:
     if not tables:
         raise ScenarioError(printable(f'{path}: empty; begin with extends = "paper", or see `scenarios --show paper`'))
     return tables
+
+
+def _check_size(text: str) -> None:
+    """Raise ScenarioError for text that takes long to be decoded."""
+    for piece, most in MAX_PIECES.items():
+        if (n := text.count(piece)) > most:
+            raise ScenarioError(
+                f"has {n} times {piece!r}, must be at most {most}: rows of trajectories go into CSV files"
+            )
+    if any(
+        len(_DOT.findall(part)) > MAX_DOTS for part in re.split(r"[,=\n\[\]{}]", text) if part.count(".") > MAX_DOTS
+    ):
+        raise ScenarioError(f"has a key of more than {MAX_DOTS + 1} parts")
+
+
+def _check_keys(table: dict[str, Any], name: str = "") -> None:
+    """Raise ScenarioError for a table with too many keys to be looked at one by one."""
+    if len(table) > MAX_KEYS:
+        first = ", ".join(key[:20] for key in list(table)[:MAX_EXPLAINED])
+        raise ScenarioError(f"{name or 'it'} has {len(table)} keys, no table has {MAX_KEYS}: {first} and more")
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _check_keys(value, f"{name}.{key}" if name else key)
+
+
+_DOT = re.compile(r"[\w\"'-][ \t]*\.[ \t]*(?=[\w\"'-])")  # between parts of a key
 
 
 def _no_such(folder: Path, wanted: str) -> str:

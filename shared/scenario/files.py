@@ -18,7 +18,7 @@ from cogradar.shared.scenario.document import (
     read,
     trajectory,
 )
-from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable, unknown_keys
 from cogradar.shared.scenario.limits import MAX_ROWS
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import Scenario
@@ -69,7 +69,7 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
         except ScenarioError as error:
             unset += error.faults
     if unread := [*_read_trajectories(document), *_read_errors(document), *_read_recording(document)]:
-        raise _refusal([*unset, *unread])
+        raise _refusal([*unset, *unread], len(unset) + len(unread))
     scenario = _checked(document, Scenario, unset)
     _check_recording(scenario, document)
     return scenario
@@ -147,7 +147,7 @@ def _check_recording(scenario: Scenario, document: Document) -> None:
             )
     except RecordingError as error:
         fault = Fault(list(_RECORDING), "", printable(str(error)))
-        raise _refusal([fault.given_by(document.source_of(_RECORDING))]) from None
+        raise _refusal([fault.given_by(document.source_of(_RECORDING))], 1) from None
 
 
 def _read_trajectories(document: Document) -> list[str]:
@@ -186,25 +186,33 @@ def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
 
 def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
     """The document, if nothing is wrong with it; `unset` are the faults of settings that have no place in it."""
-    lines, found = list(unset), list[Fault]()
+    lines = list(unset)
+    found, n_unknown = unknown_keys(document.tables, kind)
+    if n_unknown > MAX_EXPLAINED:  # nothing else matters, and to look for it takes long
+        raise _refusal([*lines, *(fault.given_by(document.source_of(fault.loc)) for fault in found)], n_unknown)
+    found = []
     try:
         checked = kind.model_validate(document.tables)
         tables = checked.model_dump()
     except ValidationError as error:
         found, tables = faults(error, kind), document.tables
-    if kind is Scenario:
+    if len(found) > MAX_EXPLAINED:
+        pass  # what is wrong with values together is not shown
+    elif kind is Scenario:
         found += cross_faults(tables, found)
     elif kind is RadarConfig:
         found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
-    lines += [fault.given_by(document.source_of(fault.loc)) for fault in found]
+    n = len(lines) + len(found)
+    lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[:MAX_EXPLAINED]]
     if not lines:
         return checked
-    raise _refusal(lines)
+    raise _refusal(lines, n)
 
 
-def _refusal(lines: Sequence[str]) -> ScenarioError:
-    more = len(lines) - MAX_EXPLAINED
-    first = lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
+def _refusal(lines: Sequence[str], n: int) -> ScenarioError:
+    """What is wrong: the first of n faults in a line each."""
+    more = n - MAX_EXPLAINED
+    first = lines[0] + (f" (and {n - 1} more)" if n > 1 else "")
     return ScenarioError(first, [*lines[:MAX_EXPLAINED], *([f"and {more} more"] if more > 0 else [])])
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import FailFast, Field, field_validator, model_validator
 
 from cogradar.shared.scenario.document import check_rows
 from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
@@ -244,7 +244,8 @@ class TargetSection(Section):
         list[float] | None, Field(min_length=4, max_length=4, description="[x, vx, y, vy] when it begins to fly")
     ] = None
     trajectory: Annotated[
-        list[Annotated[list[float], Field(min_length=3, max_length=4)]] | None,
+        list[Annotated[list[float], Field(min_length=3, max_length=4), FailFast()]] | None,
+        FailFast(),  # of many rows the first that is wrong says enough
         Field(
             min_length=MIN_ROWS,
             description="instead of `state`: its rows [t_s, x_km, y_km], or all of them with z_km, ascending, or the"
@@ -266,7 +267,7 @@ class TargetSection(Section):
     gone_s: Annotated[
         float | None, Field(gt=0, le=1e6, description="time up to which it is there; else until it has x < 0")
     ] = None
-    turns: Annotated[list[TurnSection], Field(max_length=1000)] = Field(default_factory=list)
+    turns: Annotated[list[TurnSection], FailFast(), Field(max_length=1000)] = Field(default_factory=list)
     sigma_s_km_s2: Annotated[
         float | None, Field(ge=0, le=1, description="its own acceleration noise, instead of that of `world.motion`")
     ] = None

@@ -16,9 +16,16 @@ from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME
 from cogradar.shared.scenario.faults import printable
+from cogradar.shared.scenario.limits import MAX_ROWS
 
 MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
 MAX_LOT = 64  # messages that travel together
+# Of one message, beyond any that there is: what is more is refused before it is unpacked and checked, piece by piece.
+MAX_KEYS = 128  # of a map
+MAX_ARRAYS = 1000
+MAX_MAPS = 20_000  # a turn of a target is one
+MAX_LISTS = MAX_ROWS + 20_000  # a row of a trajectory is one
+MAX_ITEMS = 5 * MAX_ROWS + 100_000  # in all lists
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
 _ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; those of a message are a map's
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
@@ -75,7 +82,7 @@ def split(payload: bytes) -> list[bytes]:
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
     try:
-        payloads: list[bytes] = msgpack.unpackb(payload, ext_hook=_unpack_array)
+        payloads: list[bytes] = _unpacked(payload)
     except BadMessage:
         raise
     except (ValueError, OverflowError) as error:
@@ -105,7 +112,7 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
     try:
-        envelope = msgpack.unpackb(payload, ext_hook=_unpack_array)
+        envelope = _unpacked(payload)
     except BadMessage:
         raise
     except (ValueError, OverflowError) as error:  # broken, truncated, nested too deeply, more than one object
@@ -120,6 +127,47 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     if not isinstance(body, dict):
         raise BadMessage(f"{topic}: the body is not a map")
     return topic, body
+
+
+def _unpacked(payload: bytes) -> Any:
+    """What a payload holds. Raises BadMessage, or an error of msgpack."""
+    budget = _Budget()
+    return msgpack.unpackb(
+        payload,
+        ext_hook=budget.array,
+        list_hook=budget.list,
+        object_hook=budget.map,
+        max_array_len=MAX_ROWS,
+        max_map_len=MAX_KEYS,
+    )
+
+
+class _Budget:
+    """How much of one payload may still be unpacked."""
+
+    __slots__ = ("arrays", "items", "lists", "maps")
+
+    def __init__(self) -> None:
+        self.arrays, self.maps, self.lists, self.items = MAX_ARRAYS, MAX_MAPS, MAX_LISTS, MAX_ITEMS
+
+    def list(self, value: list[Any]) -> list[Any]:
+        self.lists -= 1
+        self.items -= len(value)
+        if self.lists < 0 or self.items < 0:
+            raise BadMessage(f"more than {MAX_LISTS} lists or {MAX_ITEMS} items of them")
+        return value
+
+    def map(self, value: dict[str, Any]) -> dict[str, Any]:
+        self.maps -= 1
+        if self.maps < 0:
+            raise BadMessage(f"more than {MAX_MAPS} maps")
+        return value
+
+    def array(self, code: int, data: bytes) -> NDArray[Any]:
+        self.arrays -= 1
+        if self.arrays < 0:
+            raise BadMessage(f"more than {MAX_ARRAYS} arrays")
+        return _unpack_array(code, data)
 
 
 def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
@@ -150,4 +198,4 @@ def _unpack_array(code: int, data: bytes) -> NDArray[Any]:
 
 
 def _line(text: str) -> str:
-    return printable(text)[:200]
+    return printable(text[:200])

@@ -11,6 +11,7 @@ import { SPEEDS, show, view } from "./view.js";
 
 const capital = (text) => text[0].toUpperCase() + text.slice(1);
 const AGAIN_MS = 2000;
+const PATIENT_MS = 500; // for a dwell that is asked for
 const MANY_TRACKS = 100; // at a time, where nobody knows their number
 const FILL_MS = 1000; // how often what a live stream leaves out is asked for
 
@@ -216,7 +217,8 @@ export class Session {
     }
     try {
       if (!here && player.mode !== "playing") {
-        const came = await dwells.one(t);
+        const meanwhile = setTimeout(() => this.meanwhile(t, turn), PATIENT_MS);
+        const came = await dwells.one(t).finally(() => clearTimeout(meanwhile));
         if (turn !== this.turn || player.t !== t) return;
         if (came) this.picture.show(came, began, isCalm);
         says.notice("dwell", came ? null : `Dwell ${t} is not stored.`);
@@ -233,6 +235,26 @@ export class Session {
       this.disconnected(error.message);
       clearTimeout(this.timer);
       this.timer = setTimeout(() => turn === this.turn && this.moved(this.player.t), AGAIN_MS);
+    }
+  }
+
+  // Dwell t takes long: the scores of a long run are worked out when somebody looks at it first. The oldest dwell is
+  // there sooner.
+  async meanwhile(t, turn) {
+    const { dwells, player } = this;
+    const isAwaited = () => turn === this.turn && player.t === t && !dwells.get(t);
+    const what = `Dwell ${t} is on its way: the scores of the run up to there are worked out first`;
+    if (!isAwaited()) return;
+    says.empty(this.picture.dwell ? null : `${what} …`);
+    if (this.picture.dwell) says.notice("dwell", `${what}.`);
+    if (this.picture.dwell || this.row.oldest_t >= t) return;
+    try {
+      const first = await dwells.one(this.row.oldest_t);
+      if (!first || !isAwaited()) return;
+      this.picture.show(first, null, true);
+      says.notice("dwell", `${what}. Meanwhile this is dwell ${first.t}.`);
+    } catch (error) {
+      if (error.name !== "AbortError" && !(error instanceof Problem)) throw error;
     }
   }
 

@@ -75,8 +75,10 @@ class Encoded:
 def dwells(request: Request, question: Question) -> Response:
     """Some dwells of a run, MAX_DWELLS at most, and where the next ones are; the newest if none is named."""
     name, parameters, store, headers = question
-    text, known = parameters.get("dwells"), facts(store, name)
+    text, known = parameters.get("dwells"), facts(store, name, is_scored=False)
     first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
+    # No further than is asked for: all scores of a long run that nobody has looked at take many seconds.
+    store.derive_to(name, min(last, first + MAX_DWELLS - 1) + (known.row["acquisition_scans"] or 0) - 1)
     found = between(store, known, request.app.state.encoded, first, last, MAX_DWELLS)
     after = found[-1][0] + 1 if len(found) == MAX_DWELLS else last + 1
     following = f"{request.url.path}?dwells={after}:{last}" if after <= last else None

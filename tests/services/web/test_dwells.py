@@ -14,6 +14,7 @@ from cogradar.services.metrics.store import in_memory
 from cogradar.services.web.app import create
 from cogradar.services.web.views import dwells
 from tests.services.web.conftest import DWELLS, FAST_S, ask
+from tests.services.web.long_run import long_run
 
 RUNS = "/api/v1/runs"
 
@@ -105,3 +106,23 @@ def test_long_answers_are_packed_and_streams_are_not(web: httpx.Client) -> None:
     assert int(packed.headers["content-length"]) < 0.6 * int(plain.headers["content-length"])
     for path in ("dwells?dwells=99:", "events"):
         assert "content-encoding" not in web.get(f"{RUNS}/whole/{path}").headers
+
+
+def test_no_more_is_scored_than_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of a long run takes many seconds: the page shows its first dwell meanwhile."""
+    monkeypatch.setattr("cogradar.services.metrics.store.AT_ONCE", 64)
+    core = MetricsCore(str(long_run(tmp_path / "runs.db", 300)))
+    app = create(core, None, FAST_S)
+
+    def scored() -> int:
+        ends = queries.ends(core.store, "long")
+        return 0 if ends is None else ends[1]
+
+    (first,) = ask(app, f"{RUNS}/long/dwells?dwells=1:1").json()["dwells"]
+    assert scored() == 1
+    assert len(ask(app, f"{RUNS}/long/dwells?dwells=1:").json()["dwells"]) == dwells.MAX_DWELLS
+    assert scored() == dwells.MAX_DWELLS
+    (last,) = ask(app, f"{RUNS}/long/dwells").json()["dwells"]
+    assert (last["t"], scored()) == (300, 300)
+    assert ask(app, f"{RUNS}/long/dwells?dwells=1:1").json()["dwells"] == [first]
+    core.close()

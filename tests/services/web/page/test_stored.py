@@ -141,6 +141,22 @@ def test_a_second_run_is_drawn_beside_the_first(stored: str, show: Open) -> None
     until(page, "!location.search.includes('beside')")
 
 
+def test_a_run_whose_last_dwell_takes_long_shows_its_first_one_meanwhile(stored: str, show: Open) -> None:
+    held, last = list[Route](), WANDERING_DWELLS
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    address = f"**/dwells?dwells={last}:{last}"
+    page = show(f"{stored}/?run=wandering", before=lambda page: page.route(address, hold))
+    expect(page.locator("#dwell")).to_have_text("1")
+    expect(page.locator("#notice")).to_contain_text(f"Dwell {last} is on its way")
+    assert inked(page) > 0.01
+    held[0].continue_()
+    expect(page.locator("#dwell")).to_have_text(str(last))
+    expect(page.locator("#notice")).to_be_hidden()
+
+
 def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Watched) -> None:
     watched.may_be_refused = True  # there are no processes behind a store alone
     gone = show(f"{stored}/?run=gone")
