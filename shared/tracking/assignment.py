@@ -376,11 +376,9 @@ def _pairs_of(
             distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
             in_lobe[a, b] = _between(apart(nu_c, nu), 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
-            turned[a, b] = (
-                MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) + min(odds, 0.0)
-                if _is_own(track, detection)
-                else _NEVER
-            )
+            turned[a, b] = MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) + min(odds, 0.0)
+            if not _is_met(track, seen, theirs, theirs[b], lobe):
+                turned[a, b] = _NEVER
     return fits, turned, in_cell, in_lobe
 
 
@@ -390,6 +388,23 @@ def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bo
     in_range = abs(detection[1] - track[2]) < _SIGMAS * track[3] + cell_km
     in_direction = apart(detection[0], track[0]) < _SIGMAS * track[1] + lobe
     return (in_range and in_direction) or _is_own(track, detection)
+
+
+@kernel
+def _is_met(track: Floats, seen: Floats, theirs: Ints, own: int, lobe: float) -> bool:
+    """Whether a look that was made for a track met the echo of a detection, which a look beside may have had more of.
+
+    Where the echo was only heard beside the look's axis, it is another target's.
+    """
+    detection = seen[:, own]
+    for j in theirs:
+        other = seen[:, j]
+        is_same = (
+            other[1] == detection[1] and _are_alike(other, detection, 0.0) and apart(other[0], other[2]) < 0.5 * lobe
+        )
+        if (is_same or j == own) and _is_own(track, other):
+            return True
+    return False
 
 
 @kernel

@@ -90,6 +90,18 @@ def test_a_track_near_an_end_has_what_a_look_at_the_other_end_finds(end: float) 
     assert [share.row for share in shares(elsewhere)] == [-1]
 
 
+@pytest.mark.parametrize("n_track", [1, 2])
+def test_a_track_that_turned_keeps_its_echo_though_a_look_of_the_search_beside_had_more_of_it(n_track: int) -> None:
+    """Its own look had the echo, too. It was left over: a second track began on the aircraft, and its own one ended."""
+    expected = [(0.1, 50.25), (0.13, 52.25)][:n_track]
+    scan = scan_of([(0.1, 0.115, 50.25), (0.12, 0.116, 50.25)], expected, sigmas=(0.0005, 0.1))
+    assert shares(scan)[0].row == 1
+    assert unclaimed(LOBE, scan).tolist() == []
+    not_met = scan_of([(0.12, 0.116, 50.25)], expected, sigmas=(0.0005, 0.1), missed=(0.1,))
+    assert shares(not_met)[0].row == -1
+    assert unclaimed(LOBE, not_met).tolist() == [1]
+
+
 def best_and_second(scores: Floats, own: int) -> tuple[tuple[int, ...], float]:
     """Of all assignments the best, and how much better it is than the best with another detection for this track."""
     m, n = scores.shape
