@@ -19,13 +19,14 @@ from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.wire.meter import Measured, Measures
-from cogradar.shared.wire.queries import alive, names_alive
+from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
 HOLDER_POLL_S = 0.1
+SETTLE_S = 0.5  # until a claim that was made a little earlier is seen, too
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
@@ -74,7 +75,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             closing.callback(core.close)
         session = open_session(connect.split(","), None, check=check)
         closing.callback(session.close)
-        _check_others(service, start, session, check)
+        _claim = _check_others(service, start, session, check)  # shown until the session is closed
         bus = ZenohBus(session, service.role, start.name)
         closing.callback(_close, bus)
         if isinstance(core, Answering):
@@ -97,23 +98,42 @@ def _close(bus: ZenohBus) -> None:
         log.warning("dropped %d messages on %s", n, key)
 
 
-def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> None:
+def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> Claim | None:
     """Raise BadInput if one process alone plays a role, and somebody does; name those of other builds.
 
-    Two recorders would keep two journals of one run, two front ends transmit. Who was killed seems alive for its lease.
+    Two recorders would keep two journals of one run, two front ends transmit. Returns the claim of a process that is
+    alone, which must be shown as long as it lives.
     """
     is_alone = not service.scalable and service.role is not Role.OPERATOR  # who only begins runs may be many
-    until = time.monotonic() + HOLDER_WITHIN_S
-    while is_alone and (holders := names_alive(session, "*", service.role)):
-        check()
-        if time.monotonic() > until:
-            raise BadInput(f"another {service.role} is there already: {', '.join(holders)}; stop it first")
-        time.sleep(HOLDER_POLL_S)
+    claim = _claimed(service.role, start.name, session, check) if is_alone else None
     there = alive(session, build())
     for stranger in there.strangers:
         log.warning("%s: they do not hear each other", stranger)
     if there.build != build():
         log.warning("%s runs build %s, this system %s: it takes part in nothing", start.name, build(), there.build)
+    return claim
+
+
+def _claimed(role: Role, name: str, session: Session, check: Callable[[], None]) -> Claim:
+    """The claim to a role, with no rival left. A process that was killed seems alive for its lease. Raises BadInput.
+
+    Of processes that start at once each shows its claim and then looks, until a claim that was made a little earlier
+    would be seen: one is left.
+    """
+    claim, begun = Claim(session, role, name), time.monotonic()
+    try:
+        while True:
+            is_settled = time.monotonic() >= begun + SETTLE_S
+            rivals = claim.rivals()
+            if is_settled and not rivals:
+                return claim
+            check()
+            if rivals and time.monotonic() > begun + HOLDER_WITHIN_S:
+                raise BadInput(f"another {role} is there already: {', '.join(rivals)}; stop it first")
+            time.sleep(HOLDER_POLL_S)
+    except BaseException:
+        claim.drop()
+        raise
 
 
 def _exposition(role: Role, core: Core, bus: ZenohBus) -> Callable[[], bytes]:

@@ -5,7 +5,17 @@ from enum import StrEnum
 
 from cogradar.shared.protocol.messages import Command, EmulatorCheckpoint, RunStart, Truth
 from cogradar.shared.protocol.slots import ALL_SLOTS
-from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, Topic, topics_read_by
+from cogradar.shared.protocol.topics import (
+    ALIVE,
+    CLAIM,
+    EXPOSITION,
+    QUERY,
+    TIMESTAMPS,
+    TOPICS,
+    Role,
+    Topic,
+    topics_read_by,
+)
 
 OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
 COMMANDER = "commander"  # an observer that may also command runs
@@ -58,8 +68,8 @@ def permitted(holder: str, slots: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]
         Act.ASK: tuple(_pattern(key) for key in _ASKED.get(holder, ())),
         Act.HEAR: tuple(_pattern(key) for key in own),
         Act.ANSWER: tuple(_pattern(key, holder, limited) for key in own),
-        Act.SHOW: (_pattern(ALIVE, holder, limited),) if is_process else (),
-        Act.SEE: (_pattern(ALIVE),),
+        Act.SHOW: tuple(_pattern(key, holder, limited) for key in (ALIVE, CLAIM)) if is_process else (),
+        Act.SEE: (_pattern(ALIVE), _pattern(CLAIM)),
     }
     return {act: keys for act, keys in found.items() if keys}
 

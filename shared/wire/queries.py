@@ -3,6 +3,7 @@
 import logging
 import re
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from urllib.parse import quote, unquote
 
 import zenoh
 
-from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, Role
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, PROTOCOL, QUERY, Role
 
 log = logging.getLogger(__name__)
 
@@ -93,6 +94,32 @@ def alive(session: zenoh.Session, own: str) -> Alive:
 def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:
     """Names of the live processes of one role and build."""
     return [name for *_, name in _tokens(session, ALIVE.format(protocol=PROTOCOL, build=build, role=role, name="*"))]
+
+
+class Claim:
+    """Of a process that wants to be the only one of its role: shown before it looks for others, until it is dropped.
+
+    So of two that start at once the one that looks later sees both. Of all claims the earliest wins.
+    """
+
+    def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
+        """Show it."""
+        self._session, self._role = session, role
+        self._moment = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
+        key = CLAIM.format(protocol=PROTOCOL, role=role, moment=self._moment, name=name)
+        self._token = session.liveliness().declare_token(key)
+
+    def rivals(self) -> list[str]:
+        """Names of the processes of this role that are there, of any build, or whose claim is earlier."""
+        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
+        replies = self._session.liveliness().get(key, timeout=1.0)
+        keys = [str(reply.ok.key_expr).split("/")[-2:] for reply in replies if reply.ok is not None]
+        earlier = {name for moment, name in keys if moment < self._moment}
+        return sorted({*names_alive(self._session, "*", self._role), *earlier})
+
+    def drop(self) -> None:
+        """Leave the role to others."""
+        self._token.undeclare()
 
 
 def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:

@@ -3,7 +3,9 @@
 import logging
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from threading import Barrier
 
 import pytest
 
@@ -21,6 +23,8 @@ from cogradar.shared.wire.session import Session, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests import samples
 from tests.samples import sample
+
+ROUNDS = 8  # fifty take a minute
 
 pytestmark = pytest.mark.zenoh
 
@@ -58,6 +62,42 @@ def test_a_second_one_is_refused_and_told_who_is_there(
         _enter(role, session)
     monkeypatch.undo()
     _enter(role, session)  # it is gone
+
+
+def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.6)
+    monkeypatch.setattr(process, "SETTLE_S", 0.2)
+    names, ready, looked = ("a", "b", "c"), Barrier(3), Barrier(3)
+
+    def start(name: str) -> str:
+        """It shows itself alive as soon as it may, and stays until all have looked."""
+        with open_session([router], 10.0, lambda: None) as session:
+            ready.wait(30.0)
+            try:
+                claim = process._check_others(SERVICES[Role.RECORDER], Start(name), session, lambda: None)
+                assert claim is not None
+                key = ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.RECORDER, name=name)
+                token = session.liveliness().declare_token(key)
+            except BadInput as error:
+                looked.wait(30.0)
+                return str(error)
+            looked.wait(30.0)
+            token.undeclare()
+            return ""
+
+    for _ in range(ROUNDS):
+        with ThreadPoolExecutor(3) as threads:
+            said = list(threads.map(start, names))
+        assert said.count("") == 1
+        (winner,) = [name for name, text in zip(names, said, strict=True) if not text]
+        assert all(winner in text.partition("another recorder is there already: ")[2] for text in said if text)
+        while _is_seen(router):
+            time.sleep(0.01)
+
+
+def _is_seen(router: str) -> bool:
+    with open_session([router], 10.0, lambda: None) as session:
+        return bool(alive(session, build()).names)
 
 
 def test_planners_and_operators_may_be_many(router: str, session: Session) -> None:
