@@ -11,7 +11,16 @@ from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unc
 from cogradar.shared.power.rules import Emission, Requests, power_rule
 from cogradar.shared.power.search import search_directions, search_power
 from cogradar.shared.protocol.messages import Plan, Waveform
-from cogradar.shared.protocol.orders import Order, SectorSearch, is_paused, looks, power_share, searches
+from cogradar.shared.protocol.orders import (
+    Order,
+    SectorSearch,
+    is_paused,
+    looks,
+    power_share,
+    searches,
+    settings_of,
+    under,
+)
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
@@ -56,6 +65,7 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
 
     orders : in force in the dwell that it is for (`cogradar.shared.protocol.orders.in_force`)
     """
+    radar, strategy = under(radar, strategy, settings_of(orders))
     radar = _with_power(radar, radar.array.power * power_share(orders))
     array = radar.array
     served = [coasted(radar, plan, update.k) for plan in update.plans]
@@ -167,6 +177,7 @@ def _message(
             "status": sent.status,
             "late": np.array([plan.k != update.k for plan in update.plans], dtype=np.int32),
             "orders": np.array(obeyed, np.int32) if obeyed else None,
+            "settings": settings_of(orders),
         }
         | steered
     )

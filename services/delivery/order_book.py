@@ -1,6 +1,6 @@
 """The orders of one run: which commands are granted, from which dwell on, and which orders are over."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,12 +19,16 @@ from cogradar.shared.protocol.orders import (
     PowerLimit,
     Resume,
     SectorSearch,
+    Setting,
     dropped,
     in_force,
     is_over,
     looks,
     searches,
+    settings_of,
+    under,
 )
+from cogradar.shared.scenario.combinations import check_combination
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 
@@ -101,20 +105,24 @@ class OrderBook:
                     raise Refused(f"there is no track {order.action.track + 1}")
             case Look() | SectorSearch():
                 self._needs_roster(order.action)
-                search = self._radar.search
-                if self._strategy is Strategy.ORTHOGONAL or (search is not None and search.pattern == "isotropic"):
-                    raise Refused("the radar searches in all directions at once: there are no beams to steer")
-                self._check_search(order)
+                self._check_together(order)
+            case Setting():
+                if order.action.key == "rule" and self._radar.planner.looks == "joint":
+                    raise Refused('rule: tracks have none with radar.planner.looks = "joint"')
+                self._check_together(order)
 
     def _needs_roster(self, action: Action) -> None:
         if not self._radar.is_unknown:
             raise Refused(f"{action.kind}: only where the number of targets is unknown (radar.tracks)")
 
-    def _check_search(self, new: Order) -> None:
-        """At each dwell with other orders: some direction is searched, no look is blanked, none takes too much."""
+    def _check_together(self, new: Order) -> None:
+        """At each dwell with other orders: settings are a supported combination, there are beams where some are asked
+        for, some direction is searched, no look is blanked, none takes too much.
+        """
         orders, centres = [*self.orders, new], bin_centres(self._radar.array.n_bin)
         for k in sorted({order.k for order in orders if order.k >= new.k}):
             there = in_force(orders, k)
+            self._check_settings(there, k)
             if not searches(there, centres).any():
                 raise Refused(f"from dwell {k} on, every direction would be blanked")
             is_blanked = (
@@ -125,6 +133,18 @@ class OrderBook:
             if (share := sum(look.share for look in looks(there))) > MAX_LOOKS + 1e-9:
                 raise Refused(f"in dwell {k}, looks would take {share:.2f} of the power, at most {MAX_LOOKS:g} may be")
 
+    def _check_settings(self, there: Sequence[Order], k: int) -> None:
+        radar, strategy = under(self._radar, self._strategy, settings_of(there))
+        try:
+            check_combination(radar.model_dump())
+        except ValueError as error:
+            raise Refused(f"in dwell {k}: {error}") from None
+        is_everywhere = strategy is Strategy.ORTHOGONAL or (
+            radar.search is not None and radar.search.pattern == "isotropic"
+        )
+        if is_everywhere and any(isinstance(order.action, Look | SectorSearch) for order in there):
+            raise Refused(f"in dwell {k} the radar searches in all directions at once: there are no beams to steer")
+
 
 def _is_replaced(pending: Order, new: Order) -> bool:
     """Whether an order shapes no dwell because of a new one: nothing follows the end of a run."""
@@ -133,6 +153,8 @@ def _is_replaced(pending: Order, new: Order) -> bool:
             return pending.k >= new.k
         case PowerLimit():
             return pending.k == new.k and isinstance(pending.action, PowerLimit)
+        case Setting():
+            return pending.k == new.k and isinstance(pending.action, Setting) and pending.action.key == new.action.key
         case Pause() | Resume():
             return pending.k == new.k and isinstance(pending.action, Pause | Resume)
         case SectorSearch():

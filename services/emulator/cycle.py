@@ -252,9 +252,10 @@ def _cell(measured: ScanData, row: int) -> str:
 def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
     """The message of what was measured. Raises SenselessScan if it cannot be: all readers would drop it."""
     radar = settings.radar
-    sent_roster = no_tracks() if waveform is None else waveform.roster
+    sent_roster, settings_sent = (no_tracks(), None) if waveform is None else (waveform.roster, waveform.settings)
     unsent = {name for part, names in Scan.PARTS.items() for name in names if not IS_NEEDED[part](radar)}
     said = {"run": settings.run, "k": k, "t": t, "roster": measured.roster or sent_roster}
+    said |= {"settings": measured.settings or settings_sent}
     try:
         with np.errstate(over="ignore"):  # what is infinite then is refused
             said |= {
@@ -262,7 +263,7 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData, wavefor
                 if name in {"fault", "waveform_k"}
                 else np.asarray(values, dtype=_TYPES.get(name, np.float64))
                 for name, values in vars(measured).items()
-                if values is not None and name != "roster"
+                if values is not None and name not in {"roster", "settings"}
             }
         scan = Scan.model_validate({name: value for name, value in said.items() if name not in unsent})
         check_scan(scan, radar)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint, Refused
+from cogradar.shared.protocol.orders import Setting
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
@@ -117,6 +118,7 @@ class ScanData:
     fault: str | None = None  # why nothing was measured
     # If `beams` is there: dwell whose waveform these beams are of, where it is older than k-1; None: it is not.
     waveform_k: int | None = None
+    settings: Sequence[Setting] | None = None  # of a recording: what was set by commands
 
     @classmethod
     def not_measured(cls, fault: str | None = None) -> Self:

@@ -1,11 +1,14 @@
 """A track that a planner owns: its state, what is prepared for its next scan, and the snapshot that is pending."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from cogradar.services.delivery.pacing import Pacing
 from cogradar.shared.protocol.fields import MAX_PARTICLES
 from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.birth import born
 from cogradar.shared.tracking.filters import belief_of
@@ -21,6 +24,12 @@ def detections_of(model: TrackerModel, scan: Scan) -> Detections:
     """What a scan message says, for the tracker."""
     roster = {} if scan.roster is None else {"ids": scan.roster.ids, "expected": scan.roster.expected}
     return Detections.of(vars(scan) | roster, model.sensor.n_bin, model.sensor.threshold)
+
+
+def model_in(model: TrackerModel, scan: Scan) -> TrackerModel:
+    """The model in the dwell of a scan: a command may have set its strategy."""
+    strategies = [setting.value for setting in scan.settings or () if setting.key == "strategy"]
+    return replace(model, tests_every_cell=strategies[-1] == Strategy.ORTHOGONAL) if strategies else model
 
 
 def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
@@ -66,9 +75,9 @@ class OwnedTrack:
         """The next scan to observe."""
         return self.state.k + 1
 
-    def observe(self, scan: Detections) -> None:
-        """Advance by one scan."""
-        self.state = observe(self._model, self.state, scan, self._prediction)
+    def observe(self, scan: Detections, model: TrackerModel) -> None:
+        """Advance by one scan, by the model of its dwell."""
+        self.state = observe(model, self.state, scan, self._prediction)
         self._prediction = None
         n_byte = self.state.belief.rows.nbytes + self.state.remembered.nbytes
         if self._pacing.is_snapshot_due(self.k, self.state.target, SNAPSHOT_DWELLS, n_byte):

@@ -9,11 +9,12 @@ from cogradar.services.delivery.pending import decoded
 from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.planner.decision import decide, warm_up
 from cogradar.services.planner.held_tracks import HeldTracks, batches
-from cogradar.services.planner.owned_track import OwnedTrack, detections_of, state_of
+from cogradar.services.planner.owned_track import OwnedTrack, detections_of, model_in, state_of
 from cogradar.services.planner.recall import RecallRequest
 from cogradar.services.planner.track_source import source_of
 from cogradar.shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
+from cogradar.shared.protocol.orders import under
 from cogradar.shared.protocol.recovery import Handover, History, Snapshot
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.scan import Detections
@@ -28,7 +29,7 @@ class PlannedRun:
     """Scans in, plans of the owned tracks out."""
 
     def __init__(self, checkpoint: Checkpoint, planner: str, clock: Callable[[], float]) -> None:
-        self._run, self._dwells = checkpoint.run, checkpoint.dwells
+        self._run, self._dwells, self._strategy = checkpoint.run, checkpoint.dwells, checkpoint.strategy
         self._clock = clock
         self._pacing = pacing_at(checkpoint.rate_hz)
         self._deadline_s = math.inf
@@ -249,7 +250,7 @@ class PlannedRun:
         if track.state.target not in there:
             self._over.add(track.state.target)
             return None
-        track.observe(seen)
+        track.observe(seen, model_in(self._model, scan))
         return scan
 
     def _read(self, scan: Scan) -> tuple[Detections, frozenset[int]]:
@@ -282,7 +283,7 @@ class PlannedRun:
         track.planned = state.k
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
-        decision = decide(self.radar, self._model, state, has_time)
+        decision = decide(*self._settings(state.k), state, has_time)
         if self._model.existence.is_over(state, max(decision.chances.tolist(), default=0.0)):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(
@@ -296,6 +297,13 @@ class PlannedRun:
             **vars(decision),
             **judged,
         )
+
+    def _settings(self, k: int) -> tuple[RadarConfig, TrackerModel]:
+        """Radar and model by which it is decided after dwell k: those of that dwell, as commands have set them."""
+        scan = self._scans.get(k)
+        if scan is None or scan.settings is None:
+            return self.radar, self._model
+        return under(self.radar, self._strategy, scan.settings)[0], model_in(self._model, scan)
 
     def _share_of_time(self, target: int) -> Callable[[], bool]:
         """Whether a track's search has time left: the time to the deadline is shared evenly by those still to come."""

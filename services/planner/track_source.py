@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from cogradar.services.delivery.pacing import Pacing
-from cogradar.services.planner.owned_track import born_of, detections_of
+from cogradar.services.planner.owned_track import born_of, detections_of, model_in
 from cogradar.services.planner.ownership import owner_of, owners
 from cogradar.shared.protocol.messages import Plan, Scan, roster_of
 from cogradar.shared.protocol.slots import N_SLOT
@@ -159,7 +159,7 @@ def follow(
         there = [m for m in source.alive(newest, scan.k) if tracks is None or m in tracks]
         begun = {m: state for m in there if m not in followed and (state := source.begin(m, newest)) is not None}
         followed = {
-            m: state if state.k == scan.k else observe(model, coast(model, state, scan.k), seen)
+            m: state if state.k == scan.k else observe(model_in(model, scan), coast(model, state, scan.k), seen)
             for m, state in sorted((followed | begun).items())
             if m in there
         }

@@ -13,7 +13,17 @@ import numpy as np
 
 from cogradar.services.delivery.pacing import Pacing, pacing_at
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Pause, PowerLimit, Resume, SectorSearch
+from cogradar.shared.protocol.orders import (
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Pause,
+    PowerLimit,
+    Resume,
+    SectorSearch,
+    Setting,
+)
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
 SCHEDULE = -1  # index of the generator that draws a schedule; those of its faults have their place in the list
@@ -174,7 +184,10 @@ class Schedule:
 
     def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
-        actions += [Pause(), Pause(dwells=2), Resume()]
+        actions += [Pause(), Pause(dwells=2), Resume(), Setting(key="strategy", value="orthogonal")]
+        actions += [Setting(key="strategy", value="uniform"), Setting(key="objective", value="urgency")]
+        if self.sky == "known":
+            actions += [Setting(key="rule", value="mode"), Setting(key="rule", value="mean")]
         if self.sky == "unknown":
             actions += [DropTrack(track=m) for m in range(6)]  # some begin after the dwell of the order
             actions += [SectorSearch(from_deg=-90, to_deg=0, search="blank"), Look(bearing_deg=20, dwells=2, share=0.3)]

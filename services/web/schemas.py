@@ -222,6 +222,14 @@ class DropDocument(Document):
     track: int = Field(ge=1, lt=2**31)
 
 
+class SettingDocument(Document):
+    """Set the run's strategy, the radar's rule of looking or its objective of allocation, until it is set again."""
+
+    kind: Literal["set"]
+    key: Literal["strategy", "rule", "objective"]
+    value: str = Field(max_length=40, description="A name that a scenario may have.")
+
+
 class PauseDocument(Document):
     """Radiate nothing, for some dwells or until transmission is resumed."""
 
@@ -246,7 +254,14 @@ class CommandDocument(Document):
 
     action: (
         Annotated[
-            PowerDocument | SectorDocument | LookDocument | DropDocument | PauseDocument | ResumeDocument | EndDocument,
+            PowerDocument
+            | SectorDocument
+            | LookDocument
+            | DropDocument
+            | SettingDocument
+            | PauseDocument
+            | ResumeDocument
+            | EndDocument,
             Field(discriminator="kind"),
         ]
         | Annotated[str, Field(description="; ".join(forms()))]

@@ -40,7 +40,7 @@ from cogradar.shared.protocol.fields import (
     States,
     check_different,
 )
-from cogradar.shared.protocol.orders import Action, Orders
+from cogradar.shared.protocol.orders import Action, Orders, Settings
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.scenario.limits import NO_END
@@ -189,6 +189,7 @@ class Scan(Message):
     fault: Annotated[str, Field(max_length=MAX_FAULT)] | None = None  # why nothing was measured, if that is known
     # Dwell whose waveform was radiated, and whose looks these are, if it is older than k-1; -1: there was none.
     waveform_k: Annotated[int, Field(ge=-1)] | None = None
+    settings: Settings | None = None  # of the waveform, so that planners are told
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -337,6 +338,7 @@ class Waveform(Message):
     gates: FloatLists | None = None  # (M, 2) ranges to be tested for each track, km; (0, 0): all
     roster: Roster | None = None  # the tracks, if their number is unknown
     orders: Ints | None = None  # numbers of the orders that it obeys, ascending; none: there are none
+    settings: Settings | None = None  # ... what they set; None: all is as the run began
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

@@ -17,12 +17,15 @@ from pydantic import Field, ValidationError, model_validator
 from cogradar.shared.protocol.fields import Index
 from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.scenario.faults import explain
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.scenario.tables import BIN_RULES, OBJECTIVES, POWER_RULES
 
 MAX_ORDERS = 80  # of a run that are in force, or will be
 MAX_LOOKS = 0.5  # of the power, for all looks of a dwell that were asked for
 LEAST_POWER = 0.01
 MAX_LOOK_DWELLS = 100_000
 MAX_PAUSE_DWELLS = 2**31 - 1
+SETTINGS = {"strategy": tuple(POWER_RULES), "rule": tuple(BIN_RULES), "objective": tuple(OBJECTIVES)}
 Bearing = Annotated[float, Field(ge=-90.0, le=90.0)]  # degrees from boresight, to the side of positive y
 
 
@@ -95,6 +98,20 @@ class DropTrack(Compared):
     track: Index
 
 
+class Setting(Compared):
+    """Set the run's strategy, the radar's rule of looking, or its objective of allocation, until it is set again."""
+
+    kind: Literal["set"] = "set"
+    key: Literal["strategy", "rule", "objective"]
+    value: Annotated[str, Field(max_length=40)]
+
+    @model_validator(mode="after")
+    def _is_named(self) -> Self:
+        if self.value not in SETTINGS[self.key]:
+            raise ValueError(f"{self.key} must be one of {', '.join(SETTINGS[self.key])}")
+        return self
+
+
 class Pause(Compared):
     """Radiate nothing, for some dwells or until transmission is resumed. Dwells go on, and nothing is measured."""
 
@@ -114,7 +131,9 @@ class EndRun(Compared):
     kind: Literal["end"] = "end"
 
 
-Action = Annotated[PowerLimit | SectorSearch | Look | DropTrack | Pause | Resume | EndRun, Field(discriminator="kind")]
+Action = Annotated[
+    PowerLimit | SectorSearch | Look | DropTrack | Setting | Pause | Resume | EndRun, Field(discriminator="kind")
+]
 
 
 class Order(Compared):
@@ -126,19 +145,21 @@ class Order(Compared):
 
 
 Orders = Annotated[list[Order], Field(max_length=MAX_ORDERS)]
+Settings = Annotated[list[Setting], Field(min_length=1, max_length=len(SETTINGS))]
 
 
 def in_force(orders: Iterable[Order], k: int) -> list[Order]:
-    """Limits, sectors, looks and pauses that shape dwell k, in the order in which they took effect.
+    """Limits, sectors, looks, settings and pauses that shape dwell k, in the order in which they took effect.
 
-    A newer power limit replaces the older one, a pause the pause before, and a sector those that it contains. What is
-    replaced for good, and what changes nothing, is not in force.
+    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, and a sector
+    those that it contains. What is replaced for good, and what changes nothing, is not in force.
     """
     begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
     limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
     looks = [order for order in begun if isinstance(order.action, Look) and k < order.k + order.action.dwells]
     pauses = [order for order in begun if isinstance(order.action, Pause | Resume)][-1:]
-    found = {order.n for order in [*looks, *_sectors(begun)]}
+    settings = {order.action.key: order for order in begun if isinstance(order.action, Setting)}
+    found = {order.n for order in [*looks, *settings.values(), *_sectors(begun)]}
     found |= {order.n for order in pauses if isinstance(order.action, Pause) and _lasts(order, order.action, k)}
     found |= {order.n for order in limits if isinstance(order.action, PowerLimit) and order.action.share < 1.0}
     return [order for order in begun if order.n in found]
@@ -169,6 +190,22 @@ def _sectors(begun: Iterable[Order]) -> list[Order]:
 def power_share(orders: Iterable[Order]) -> float:
     """Share of the array's power that orders in force allow."""
     return min((order.action.share for order in orders if isinstance(order.action, PowerLimit)), default=1.0)
+
+
+def settings_of(orders: Iterable[Order]) -> list[Setting] | None:
+    """The settings among orders in force; None: there are none."""
+    return [order.action for order in orders if isinstance(order.action, Setting)] or None
+
+
+def under(radar: RadarConfig, strategy: Strategy, settings: Iterable[Setting] | None) -> tuple[RadarConfig, Strategy]:
+    """Radar and strategy of a dwell with these settings; both as they are without any."""
+    values = {setting.key: setting.value for setting in settings or ()}
+    sections: dict[str, Any] = {}
+    if "rule" in values:
+        sections["planner"] = radar.planner.model_copy(update={"rule": values["rule"]})
+    if "objective" in values:
+        sections["allocation"] = radar.allocation.model_copy(update={"objective": values["objective"]})
+    return radar.model_copy(update=sections) if sections else radar, Strategy(values.get("strategy", strategy))
 
 
 def is_paused(orders: Iterable[Order]) -> bool:
@@ -235,37 +272,33 @@ def ends(orders: Iterable[Order], k: int) -> bool:
 
 def text_of(action: Action) -> str:
     """An action as `cogradar command` takes it."""
-    match action:
-        case PowerLimit():
-            return f"power {_number(action.share)}"
-        case SectorSearch():
-            return f"sector {action.search} {_number(action.from_deg)} {_number(action.to_deg)}"
-        case Look():
-            return f"look {_number(action.bearing_deg)} {action.dwells} {_number(action.share)}"
-        case DropTrack():
-            return f"drop {action.track + 1}"
-        case Pause():
-            return "pause" if action.dwells is None else f"pause {action.dwells}"
-        case _:
-            return action.kind
+    _, _, names = FORMS[action.kind]
+    told = [(name, getattr(action, name)) for name in names]
+    return " ".join([action.kind, *(_word(name, value) for name, value in told if value is not None)])
 
 
-def _number(value: float) -> str:
-    return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+def _word(name: str, value: str | float) -> str:
+    if isinstance(value, float):
+        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    return f"{int(value) + 1}" if name == "track" else f"{value}"
 
 
-# Of each kind: how it is written, and the fields of what is written, a number each but for the first of a sector. What
-# stands in brackets may be left out.
-_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Pause | Resume | EndRun]
+# Of each kind: how it is written, and the fields of what is written, a number each but for WORDS. What stands in
+# brackets may be left out.
+_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Setting | Pause | Resume | EndRun]
 FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
     "power": (PowerLimit, "power SHARE", ("share",)),
     "sector": (SectorSearch, "sector blank|normal|double FROM TO", ("search", "from_deg", "to_deg")),
     "look": (Look, "look BEARING DWELLS SHARE", ("bearing_deg", "dwells", "share")),
     "drop": (DropTrack, "drop TRACK", ("track",)),
+    "set": (Setting, "set strategy|rule|objective VALUE", ("key", "value")),
     "pause": (Pause, "pause [DWELLS]", ("dwells",)),
     "resume": (Resume, "resume", ()),
     "end": (EndRun, "end", ()),
 }
+
+
+WORDS = {"search", "key", "value"}
 
 
 def forms() -> list[str]:
@@ -305,7 +338,7 @@ def _form(kind: object) -> tuple[_Kind, str, tuple[str, ...]]:
 
 def _value(name: str, text: str) -> str | int | float:
     """A number where one is wanted. Raises ValueError."""
-    if name == "search":
+    if name in WORDS:
         return text
     try:
         return int(text) if name in {"track", "dwells"} else float(text)

@@ -9,7 +9,17 @@ from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.delivery import pacing
 from cogradar.services.emulator.cycle import limited, transmission
 from cogradar.shared.protocol.messages import Message, RunEnd, RunStart, Scan, Waveform
-from cogradar.shared.protocol.orders import Action, DropTrack, EndRun, Look, Order, PowerLimit, SectorSearch, nu_of
+from cogradar.shared.protocol.orders import (
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    PowerLimit,
+    SectorSearch,
+    Setting,
+    nu_of,
+)
 from cogradar.shared.protocol.roster import Roster
 from tests.services.loop import checkpoint, plans, scans, smoke_start, waveforms
 from tests.services.loop import play as played
@@ -79,6 +89,35 @@ def test_a_look_is_one_more_beam_with_its_share() -> None:
     scan = next(one for one in scans(_played(sky_start(BEAMS, dwells=20), look)) if one.k == K)
     assert scan.nus is not None
     assert nu_of(33.0) in scan.nus
+
+
+@pytest.mark.parametrize("value", ["uniform", "orthogonal"])
+@pytest.mark.parametrize("start", [smoke_start(dwells=20), sky_start(BEAMS, dwells=20)])
+def test_a_strategy_holds_from_its_dwell_on_and_planners_read_its_scans_by_it(start: RunStart, value: str) -> None:
+    before, said = waveforms(played(start)), _played(start, Setting(key="strategy", value=value))
+    after, isotropic = waveforms(said), 1.0 if value == "orthogonal" else 0.0
+    assert [one for one in after if one.k + 1 < K] == [one for one in before if one.k + 1 < K]
+    for sent in (one for one in after if one.k + 1 >= K):
+        assert (sent.isotropic, sent.status) == (isotropic, "fixed")
+        assert sent.orders is not None
+    assert [scan.settings is not None for scan in scans(said)] == [scan.k >= K for scan in scans(said)]
+    last = max(scan.k for scan in scans(said))
+    asked = [plan.bins.size for plan in plans(said) if plan.k >= K and plan.confirmed is not False]
+    assert max(asked) == (1 if value == "orthogonal" or start.scenario["radar"]["tracks"] != "unknown" else max(asked))
+    assert sum(plan.detected for plan in plans(said) if plan.k > last - 5) > 5  # tracks go on
+
+
+def test_a_rule_of_looking_acts_after_its_dwell_and_an_objective_in_it() -> None:
+    said = _played(smoke_start(dwells=20), Setting(key="rule", value="mode"))
+    assert [plan.n_sim > 0 for plan in plans(said) if plan.status == "tracking"] == [
+        plan.k < K for plan in plans(said) if plan.status == "tracking"
+    ]
+    start, objective = smoke_start(dwells=20), Setting(key="objective", value="detections")
+    plain, other = (
+        {one.k + 1: one.factor.tobytes() for one in waveforms(said)}
+        for said in (played(start), _played(start, objective))
+    )
+    assert min(k for k in plain if plain[k] != other[k]) == K
 
 
 def test_a_track_that_is_dropped_is_gone_and_its_target_may_begin_another() -> None:

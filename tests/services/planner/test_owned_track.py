@@ -135,7 +135,7 @@ def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: p
     for n_particle, is_sent in ((MAX_PARTICLES + 1, False), (MAX_PARTICLES, True)):
         begun = Looking("robust", 7, n_particle)
         owned = OwnedTrack(begun.model, begun.state, since=1, pacing=Lockstep())
-        owned.observe(detections_of(owned._model, _scan(2, [OTHER, BIN], 7, BIN)))
+        owned.observe(detections_of(begun.model, _scan(2, [OTHER, BIN], 7, BIN)), begun.model)
         assert (owned.snapshot("r", acknowledged=3) is not None) == is_sent
 
 

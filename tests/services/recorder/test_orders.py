@@ -22,6 +22,7 @@ from cogradar.shared.protocol.orders import (
     PowerLimit,
     Resume,
     SectorSearch,
+    Setting,
 )
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, smoke_start
@@ -29,6 +30,7 @@ from tests.skies import sky_start
 
 AHEAD, DWELLS = 3, 400
 HALF = PowerLimit(share=0.5)
+ORTHOGONAL = Setting(key="strategy", value="orthogonal")
 BLANK = SectorSearch(from_deg=-90, to_deg=0, search="blank")
 
 
@@ -219,6 +221,10 @@ def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_t
             "looks would take 0.60 of",
         ),
         (sky_start(dwells=DWELLS), [DropTrack(track=3)], "there is no track 4"),
+        (sky_start(dwells=DWELLS), [Setting(key="rule", value="mode")], "tracks have none with radar.planner.looks ="),
+        (sky_start(dwells=DWELLS), [Setting(key="objective", value="max-min")], "no supported combination; nearest: "),
+        (sky_start(dwells=DWELLS), [BLANK, ORTHOGONAL], "the radar searches in all directions at once"),
+        (sky_start(dwells=DWELLS), [ORTHOGONAL, BLANK], "the radar searches in all directions at once"),
         (
             sky_start(dwells=DWELLS),
             49 * [Look(bearing_deg=20, dwells=9, share=0.01)],

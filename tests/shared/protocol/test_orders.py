@@ -18,6 +18,7 @@ from cogradar.shared.protocol.orders import (
     PowerLimit,
     Resume,
     SectorSearch,
+    Setting,
     action_of,
     dropped,
     ends,
@@ -39,6 +40,7 @@ SECTORS = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES), st.sampled_f
 ACTIONS: st.SearchStrategy[Action] = st.one_of(
     st.sampled_from((0.5, 0.7, 1.0)).map(lambda share: PowerLimit(share=share)),
     SECTORS.filter(lambda s: s[0] < s[1]).map(lambda s: SectorSearch(from_deg=s[0], to_deg=s[1], search=s[2])),
+    st.sampled_from(("uniform", "orthogonal")).map(lambda value: Setting(key="strategy", value=value)),
     st.sampled_from((Pause(), Pause(dwells=3), Resume())),
     st.integers(1, 9).map(lambda dwells: Look(bearing_deg=10.0, dwells=dwells, share=0.1)),
 )
@@ -116,6 +118,7 @@ def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
         ("sector blank -20.5 10", SectorSearch(from_deg=-20.5, to_deg=10, search="blank")),
         ("look 12.123456789 20 0.2", Look(bearing_deg=12.123456789, dwells=20, share=0.2)),
         ("drop 3", DropTrack(track=2)),
+        ("set rule mode", Setting(key="rule", value="mode")),
         ("pause", Pause()),
         ("pause 20", Pause(dwells=20)),
         ("resume", Resume()),
@@ -141,6 +144,9 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
         ("look 95 20 0.2", "bearing_deg = 95.0: must be"),
         ("drop 0", "track = 0: must be >= 1"),
         ("drop 1.5", "track = 1.5: must be a number"),
+        ("set rule oracle", "rule must be one of pomcp, mode, "),
+        ("set belief gaussian", "key = 'belief': must be"),
+        ("set strategy", "set strategy: must be set strategy|rule|objective VALUE"),
         ("pause 0", "dwells = 0: must be"),
         ("pause 2 3", "pause 2 3: must be pause [DWELLS]"),
         ("resume 2", "resume 2: must be resume"),
