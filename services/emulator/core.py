@@ -279,7 +279,7 @@ def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[
     """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
     k, max_scans = run.k, run.radar.acquisition.max_scans
     if run.t == run.settings.dwells or (run.t > 0 and ends(run.orders, k)):
-        answers = _end(run, k, "complete")
+        answers = _end(run, k, "complete", "" if run.t == run.settings.dwells else "ended by command")
     elif ends(run.orders, k):
         answers = _end(run, k, "failed", "ended by a command before every target was detected")
     elif not run.is_tracking(waveform) and k - run.said >= max_scans:
@@ -318,7 +318,7 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
-        return _end(run, k, "complete")
+        return _end(run, k, "complete", "the front end has no more dwells")
     scan = _scan(run, k, measured, waveform, asked)
     if isinstance(scan, str):
         scan = _scan(run, k, run.front_end.refuse(scan, now_s), waveform, asked)

@@ -55,7 +55,7 @@ CREATE TABLE run ( -- one row per run
     acquisition_scans INTEGER, -- [scans] up to the last track's confirmation, null before, 0 of an unknown number
     conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
     status TEXT NOT NULL DEFAULT 'running', -- running, complete, stopped, failed or quarantined
-    reason TEXT NOT NULL DEFAULT '', -- why it is not complete
+    reason TEXT NOT NULL DEFAULT '', -- why it ended before its last dwell
     digest TEXT, -- SHA-256 over scans, plans and waveforms, once complete
     began_s INTEGER NOT NULL, -- [s] when its start was recorded, since 1970 in UTC
     ended_s INTEGER -- [s] when it ended, since 1970 in UTC

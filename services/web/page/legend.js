@@ -25,6 +25,8 @@ OCCURRING.unknown = [
 ];
 OCCURRING.jammers = [
   ["jammer", (c) => stroke(c, "warn", 3, () => { c.moveTo(-6, 8); c.lineTo(4, -8); })],
+];
+OCCURRING.blind = [
   ["blind cell", (c) => { c.setLineDash([2, 2]); stroke(c, "warn", 5, () => c.arc(0, 12, 12, -2.1, -1)); }],
 ];
 OCCURRING.unmeasured = [

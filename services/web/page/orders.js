@@ -22,7 +22,11 @@ export class Orders {
     Object.assign(this, { list: byId("orders"), run: null, known: new Map(), asked: new Set() });
     this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/commands?state=open`), (answer) => answer && this.draw(answer.rows));
     this.all = new Latest(EVERY_MS, allOf, (rows, problem, run) => {
-      if (problem || run !== this.run) return;
+      if (run !== this.run) return;
+      if (problem) {
+        this.asked.clear(); // with the next dwell again
+        return;
+      }
       for (const row of rows) this.known.set(row.n, row);
       came();
     });

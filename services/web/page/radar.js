@@ -47,7 +47,9 @@ export class Radar {
     for (const { search } of told?.sectors ?? []) this.occurred.add(search);
     if (told?.looks.length) this.occurred.add("look");
     if (this.radar?.is_unknown) this.occurred.add("unknown");
-    if (this.radar?.jammers?.length) this.occurred.add("jammers");
+    const isJammed = Boolean(this.radar?.jammers?.length);
+    if (isJammed) this.occurred.add("jammers");
+    if (isJammed || dwell?.cells?.blind?.some(Boolean)) this.occurred.add("blind");
     const key = [...this.occurred].join(" ");
     if (dwell && key === this.legendOf) return;
     this.legendOf = key;
@@ -132,9 +134,10 @@ export class Radar {
   }
 
   // What is under the pointer: where it is, and how the track there flies.
-  point({ offsetX, offsetY }, kind) {
+  point({ offsetX, offsetY, pointerId }, kind) {
     const place = this.radar && this.scope.placeAt(offsetX, offsetY);
     const isForCommand = this.command.pointed(kind, place?.angle ?? null);
+    if (kind === "down" && isForCommand) byId("scope").setPointerCapture(pointerId); // a sector may be left beside the scope
     if (kind === "up") this.isForCommand = isForCommand; // and not to choose a target
     if (!place || kind !== "move") return;
     const one = this.dwell?.targets.find((found) => found.target === this.scope.at(offsetX, offsetY));

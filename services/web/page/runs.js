@@ -97,10 +97,10 @@ function rowOf(row) {
 }
 
 // How a run ended, or that it goes on.
-export function resultOf({ status, reason, t, dwells }) {
+export function resultOf({ status, reason }) {
   if (status === "running") return "live";
-  if (status === "complete") return dwells === null || t < dwells ? "ended by command" : "complete";
-  return status === "stopped" ? `stopped ${reason}` : `${status}: ${reason}`;
+  if (status === "stopped") return `stopped ${reason}`;
+  return reason ? `${status}: ${reason}` : status;
 }
 
 // When, by the clock of who looks: the time, and of another day the date.

@@ -35,9 +35,10 @@ function hatched(frame, from, to) {
   context.beginPath();
   wedge(frame, from, to);
   context.strokeStyle = color("warn");
-  context.lineWidth = 1;
-  context.stroke();
+  context.lineWidth = 4; // half of it is cut off
   context.clip();
+  context.stroke();
+  context.lineWidth = 1;
   context.beginPath();
   for (let x = -height; x < width; x += 11) {
     context.moveTo(x, height);

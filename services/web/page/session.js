@@ -173,7 +173,7 @@ export class Session {
   over(status, reason) {
     this.feed?.close();
     this.feed = null;
-    Object.assign(this.row, { status, reason, t: this.player.newest });
+    Object.assign(this.row, { status, reason });
     this.player.isRunning = false;
     if (this.player.mode === "live") this.player.mode = "paused";
     this.timeline.refresh();

@@ -168,3 +168,9 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
     expect(page.locator("#notice")).to_have_text(
         re.compile("% of the plans are late; 10 % of the cells are blind; 50 % of the looks are not measured")
     )
+    expect(page.locator("#legend")).to_contain_text("blind cell")
+    expect(page.locator("#legend")).to_contain_text("cell not measured")
+    as_it_is = show(f"{quiet}/?run=begun")
+    expect(as_it_is.locator("#dwell")).to_have_text(str(BEGUN - 1))
+    expect(as_it_is.locator("#legend")).to_contain_text("false alarm")
+    expect(as_it_is.locator("#legend")).not_to_contain_text("cell not measured")
