@@ -34,6 +34,13 @@ class NoRoom(StoreFailed):
     """A store could not be written, as its disk is full; what was not committed is undone."""
 
 
+class Displaced(NoRoom):
+    """The file of a store was removed, replaced or made read-only while it was in use.
+
+    What is written then is lost with the last process that has the file open. What was not committed is undone.
+    """
+
+
 class NoMetrics(Failure):
     """Nobody answers questions; the text says where it was asked."""
 

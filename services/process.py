@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
-from cogradar.services.errors import BadInput, Interrupted, check_stop
-from cogradar.services.health import Heartbeat
+from cogradar.services.errors import BadInput, Interrupted, StoreFailed, check_stop
+from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.topics import Role, topics_read_by
@@ -90,6 +90,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop, bus.meter, Heartbeat(bus.is_connected, core))
+        if isinstance(core, Troubled) and core.trouble:
+            raise StoreFailed(core.trouble)
 
 
 def _close(bus: ZenohBus) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.campaigns.pool import n_core
 from cogradar.services.errors import RunFailed, check_stop
-from cogradar.services.metrics.processes import counts
+from cogradar.services.metrics.processes import MAX_BYTES, counts, read
 from cogradar.services.runs import cluster
 from cogradar.services.runs.launcher import Launcher, LocalProcesses, scratch
 from cogradar.services.runs.run import Progress
@@ -122,8 +122,8 @@ def _crowd(kind: Kind, folder: Path, endpoint: str, stop: threading.Event) -> Cr
 
 def _look(session: Session, t: int, tracks: int) -> _Look:
     cpu_s, megabytes = defaultdict[str, float](float), defaultdict[str, float](float)
-    for (role, _), text in ask_expositions(session, WITHIN_S).items():
-        counted = counts(text)
+    for (role, _), text in ask_expositions(session, WITHIN_S, MAX_BYTES):
+        counted = counts(read(text))
         cpu_s[role] += counted["process_cpu_seconds_total", "", ""]
         megabytes[role] += counted["process_resident_memory_bytes", "", ""] / MB
     return _Look(t, tracks, time.monotonic(), dict(cpu_s), dict(megabytes))

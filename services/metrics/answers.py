@@ -33,7 +33,8 @@ _CLOCKS = (
     " strftime('%Y-%m-%dT%H:%M:%SZ', ended_s, 'unixepoch') AS ended,"
     " acknowledged_t * json_extract(document, '$.radar.motion.dt_s') AS length_s"
 )
-NO_ROOM = "room: the recorder's disk is full"  # what a run that is held waits for
+# What a run that is held waits for.
+NO_ROOM = "the journal: its disk is full, or its file was removed, replaced or made read-only"
 
 
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:

@@ -13,11 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cogradar.services.errors import StoreFailed
-from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.answers import NO_ROOM, answer
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.lock import inode_in_use
 from cogradar.services.recorder.schema import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message
@@ -50,6 +51,22 @@ class MetricsCore:
     def is_open(self) -> bool:
         """Whether there is a journal."""
         return self._file is not None
+
+    @property
+    def trouble(self) -> str:
+        """What keeps the journal from being written, as far as it is seen from here; "": nothing."""
+        if self._file is None:
+            return ""
+        try:
+            status = Path(self._path).stat()
+        except OSError as error:
+            fault = "was removed" if isinstance(error, FileNotFoundError) else f"{error.strerror}"
+            return f"held: {self._path} {fault}"
+        if inode_in_use(self._path) not in {None, status.st_ino}:
+            return f"held: {self._path} was replaced, its recorder has another file open"
+        if not status.st_mode & 0o222:
+            return f"held: {self._path} was made read-only"
+        return NO_ROOM if self.store.held else ""
 
     @property
     def has_deferred(self) -> bool:

@@ -111,7 +111,7 @@ def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     if rows[0]["n"] >= MAX_COMMANDS:
         return [{"fault": "full", "reason": f"run = {name!r}: has {MAX_COMMANDS} commands, which is all it can have"}]
     if name in store.held:
-        return [{"fault": "held", "reason": f"run = {name!r}: is held, the recorder's disk is full"}]
+        return [{"fault": "held", "reason": f"run = {name!r}: is held, the recorder cannot write its journal"}]
     return []
 
 

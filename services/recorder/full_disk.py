@@ -1,4 +1,7 @@
-"""The recorder on a disk that fills up: it holds all runs, says so, and goes on as soon as there is room.
+"""The recorder whose journal cannot be written: it holds all runs, says so, and goes on as soon as it can.
+
+The disk is full, or the file was removed, replaced or made read-only. If the same file is back, nothing was lost. One
+in its place lacks what was acknowledged: a recorder that is started anew begins from it, as from any older journal.
 
 What was not committed when the disk was full is undone, and whoever sent it has kept it. So the recorder ends there, as
 if it had been killed, and another one begins where the journal is: the same way back as from any other fault. Runs in
@@ -27,7 +30,8 @@ class Recorder:
         """As `RecorderCore` has it."""
         self._journal, self._resume, self._retention = journal, resume, keep
         self._core: RecorderCore | None = None
-        self._ticks = 0
+        self._ticks = self._looked = 0
+        self._trouble = ""
         self._cancelled: set[str] = set()  # meanwhile
         try:
             self._begin()
@@ -37,12 +41,12 @@ class Recorder:
     @property
     def trouble(self) -> str:
         """What it waits for."""
-        return f"{self._journal.path}: the disk is full, all runs are held" if self._core is None else ""
+        return f"{self._trouble}; all runs are held" if self._core is None else ""
 
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers. Without room: that runs are held, until there is some."""
         try:
-            return self._wait(event) if self._core is None else self._core.handle(event)
+            return self._wait(event) if self._core is None else self._go_on(self._core, event)
         except NoRoom as error:
             self._end(error)
             self._note(event)
@@ -61,6 +65,12 @@ class Recorder:
         """Close the journal."""
         self._journal.close()
 
+    def _go_on(self, core: RecorderCore, event: Event) -> Sequence[Message]:
+        self._looked += isinstance(event, Tick)
+        if isinstance(event, Tick) and self._looked % LOOK_TICKS == 0:
+            self._journal.check_place()
+        return core.handle(event)
+
     def _begin(self) -> RecorderCore:
         self._core = RecorderCore(self._journal, resume=self._resume, keep=self._retention)
         self._resume = True  # from now on they are ours
@@ -68,8 +78,8 @@ class Recorder:
 
     def _end(self, error: NoRoom) -> None:
         if self._ticks == 0:
-            log.error("%s: all runs are held until there is room", error)
-        self._core = None
+            log.error("%s: all runs are held until it can be written", error)
+        self._core, self._trouble = None, str(error)
         self._journal.rollback()
 
     def _wait(self, event: Event) -> Sequence[Message]:
@@ -82,7 +92,7 @@ class Recorder:
             return ()
         self._journal.check_room()
         core = self._begin()
-        log.warning("%s: there is room again", self._journal.path)
+        log.warning("%s: it can be written again", self._journal.path)
         self._ticks, cancelled, self._cancelled = 0, self._cancelled, set()
         return [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
 

@@ -11,17 +11,20 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cogradar.services.errors import INTERRUPTED, Failure, NoRoom, StoreFailed
+from cogradar.services.errors import INTERRUPTED, Displaced, Failure, NoRoom, StoreFailed
 from cogradar.services.recorder.lock import JournalLock
 from cogradar.services.recorder.schema import (
     MEMORY,
     STAMP,
     Limit,
+    Place,
     Recording,
     connect,
+    displaced,
     failure,
     has_room,
     make,
+    place_of,
     refusal,
     settle,
 )
@@ -65,6 +68,7 @@ class Journal:
         """
         self.path = path
         self.commits = Durations()
+        self._place = Place()
         self._db = connect(path, read_only=read_only)
         self._limit = Limit(self._db, path)
         self._lock: JournalLock | None = None
@@ -78,13 +82,14 @@ class Journal:
             self.close()
             raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
         self._db.row_factory = sqlite3.Row
+        self._place = {} if read_only else place_of(path)
 
     def close(self) -> None:
         """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
         try:
             self.commit()
         finally:
-            if self._lock is not None:
+            if self._lock is not None and not displaced(self.path, self._place):  # whose files they are is unknown
                 settle(self._db)
             self._db.close()
             if self._lock is not None:
@@ -100,6 +105,7 @@ class Journal:
     def commit(self) -> None:
         """Make durable what was written."""
         if self._db.in_transaction:
+            self.check_place()
             with self.commits.timed():
                 self._execute("COMMIT")
 
@@ -108,8 +114,14 @@ class Journal:
         if self._db.in_transaction:
             self._execute("ROLLBACK")
 
+    def check_place(self) -> None:
+        """Raises Displaced if its files are no longer where they were, or cannot be written."""
+        if fault := displaced(self.path, self._place):
+            raise Displaced(f"{fault} while it was in use: put it back as it was, or restart on the file that is there")
+
     def check_room(self) -> None:
         """Raises NoRoom unless it can be written to."""
+        self.check_place()
         if not has_room(self.path):
             raise NoRoom(f"{self.path}: the disk is full")
         self.write(STAMP)

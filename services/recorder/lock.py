@@ -21,13 +21,14 @@ class JournalLock:
             self._file = self._take(path)
             os.truncate(self._file, 0)
             with suppress(OSError):  # the disk is full: others read that another process has it
-                os.write(self._file, json.dumps(_signature(owner)).encode())
+                os.write(self._file, json.dumps(_signature(path, owner)).encode())
         except OSError as error:
             raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
 
     def release(self) -> None:
         """Let others write."""
-        Path(self._path).unlink(missing_ok=True)
+        if _is_at(self._file, self._path):  # else another process has made one
+            Path(self._path).unlink(missing_ok=True)
         os.close(self._file)
 
     def _take(self, path: str) -> int:
@@ -44,9 +45,19 @@ class JournalLock:
             os.close(file)  # its owner released it, and with it the name, between the two calls
 
 
-def _signature(owner: str) -> dict[str, object]:
+def inode_in_use(path: str) -> int | None:
+    """Inode of the file that the writer of a journal has open; None: nobody has said."""
+    try:
+        inode = json.loads(Path(f"{Path(path).resolve()}.lock").read_bytes()[:1000])["inode"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return inode if isinstance(inode, int) else None
+
+
+def _signature(path: str, owner: str) -> dict[str, object]:
     since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    return {"name": owner, "pid": os.getpid(), "host": socket.gethostname(), "since": since}
+    inode = Path(path).stat().st_ino if Path(path).exists() else None
+    return {"name": owner, "pid": os.getpid(), "host": socket.gethostname(), "since": since, "inode": inode}
 
 
 def _holder(text: bytes) -> str:

@@ -7,6 +7,7 @@ Tables `run`, `message`, `snapshot` and `command` are the recorder's, `score`, `
 whose store has few messages. Targets and tracks count from 1.
 """
 
+import os
 import shutil
 import sqlite3
 import sys
@@ -207,6 +208,33 @@ def make(db: sqlite3.Connection, path: str) -> None:
 def has_room(path: str) -> bool:
     """Whether the disk of a file has some room left, as far as the system says: it knows no quota."""
     return path == MEMORY or shutil.disk_usage(Path(path).parent).free >= ROOM_BYTES
+
+
+Place = dict[str, os.stat_result]  # files of a journal as they were when it was opened
+
+
+def place_of(path: str) -> Place:
+    """The files that a writer of a journal has open: its own, the log with its index, the lock."""
+    found = Place()
+    for file in () if path == MEMORY else (path, f"{path}-wal", f"{path}-shm", f"{Path(path).resolve()}.lock"):
+        with suppress(OSError):
+            found[file] = Path(file).stat()
+    return found
+
+
+def displaced(path: str, place: Place) -> str:
+    """What has become of the files of a journal that is open to be written; "": nothing."""
+    for file, before in place.items():
+        try:
+            now = Path(file).stat()
+        except OSError as error:
+            is_gone = isinstance(error, FileNotFoundError)
+            return f"{file} was removed" if is_gone else f"{file}: {error.strerror}"
+        if not os.path.samestat(before, now):
+            return f"{file} was replaced"
+        if file == path and not (now.st_mode & 0o222 and os.access(path, os.W_OK)):
+            return f"{file} was made read-only"
+    return ""
 
 
 def failure(path: str, error: Exception) -> StoreFailed:

@@ -21,7 +21,6 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cogradar.services.errors import BadInput, StoreFailed
-from cogradar.services.metrics.answers import NO_ROOM
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.processes import page as page_of
 from cogradar.services.web.address import Admitted
@@ -66,7 +65,7 @@ async def readyz(request: Request) -> Response:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "there is no journal yet")
     if core.tick_s is None or time.monotonic() - core.tick_s > TICK_WITHIN_S:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router, or too busy to follow the journal")
-    return JSONResponse({"status": NO_ROOM if core.store.held else "ok"})
+    return JSONResponse({"status": core.trouble or "ok"})
 
 
 async def metrics(request: Request) -> Response:

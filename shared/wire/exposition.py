@@ -73,7 +73,7 @@ METRICS = {
     "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal.", roles="recorder"),
     "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable.", roles="recorder"),
     "journal_full": Meaning(
-        GaugeMetricFamily, "1 while the journal's disk is full and runs are held.", roles="recorder"
+        GaugeMetricFamily, "1 while the journal cannot be written and runs are held.", roles="recorder"
     ),
     "journal_bytes": Meaning(GaugeMetricFamily, "Length of the journal and of its write-ahead log.", roles="metrics"),
     "snapshot_bytes": Meaning(GaugeMetricFamily, "Length of the snapshots of tracks in the journal.", roles="metrics"),

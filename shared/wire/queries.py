@@ -55,15 +55,16 @@ def ask(
     raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
 
 
-def ask_expositions(session: zenoh.Session, timeout_s: float) -> dict[tuple[str, str], bytes]:
-    """The metrics of every process that answers in time, by its role and name."""
+def ask_expositions(session: zenoh.Session, timeout_s: float, most: int) -> Iterator[tuple[tuple[str, str], bytes]]:
+    """The metrics of every process that answers in time, by its role and name; of one that is longer than `most` bytes
+    the first ones, and one more.
+    """
     selector = EXPOSITION.format(role="*", name="*")
-    found: dict[tuple[str, str], bytes] = {}
     for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
         if reply.ok is not None:
             role, name = str(reply.ok.key_expr).split("/")[-2:]
-            found[role, name] = reply.ok.payload.to_bytes()
-    return found
+            payload = reply.ok.payload
+            yield (role, name), payload.to_bytes() if len(payload) <= most else bytes(most + 1)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cogradar.services import kernels
-from cogradar.services.metrics.processes import counts
+from cogradar.services.metrics.processes import counts, read
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
@@ -50,8 +50,8 @@ def test_sixty_runs_of_thirty_targets_make_no_storm(tmp_path: Path) -> None:
             assert time.monotonic() < deadline, [(row["run"], row["status"], row["t"]) for row in rows]
             time.sleep(2.0)
             rows = json.loads(ask(session, "runs", {}, ANSWER_S, launcher.check))
-        for text in ask_expositions(session, ANSWER_S).values():
-            for (name, _, _), value in counts(text).items():
+        for _, text in ask_expositions(session, ANSWER_S, 1 << 20):
+            for (name, _, _), value in counts(read(text)).items():
                 sent[name] += int(value) if name.startswith("cogradar_messages") else 0
         operator.close()
     assert {row["run"]: row["digest"] for row in rows} == {

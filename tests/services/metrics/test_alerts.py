@@ -35,7 +35,7 @@ CASES = {
         {'cogradar_up{role="planner",process="planner-1"}': "1x6 0x54"}, 35, 90, "planner planner-1 does not answer"
     ),
     "CogradarStandsStill": Case({"cogradar_dwell_age_seconds": "1x6 12x54"}, 35, 60, "for 12s"),
-    "CogradarJournalFull": Case({"cogradar_journal_full": "0x6 1x54"}, 30, 40, "disk is full"),
+    "CogradarJournalFull": Case({"cogradar_journal_full": "0x6 1x54"}, 30, 40, "its disk is full"),
     "CogradarTrackLost": Case({"cogradar_tracks_lost": "0x6 2x54"}, 30, 60, "2 targets"),
     "CogradarTargetsMissed": Case({"cogradar_targets_missed": "1x6 0x3 3x51"}, 100, 120, "3 targets"),
     "CogradarTracksEnd": Case({"cogradar_tracks_ended_total": "0x12 0+1x48"}, 90, 240, "ended within five minutes"),

@@ -114,8 +114,8 @@ def test_it_says_so_and_takes_no_new_run(disk: Path, caplog: pytest.LogCaptureFi
     assert core.trouble
     assert core.measures()["journal_full"] == 1
     assert len({checkpoint.k for checkpoint in told if checkpoint.held}) == 1
-    assert caplog.text.count("are held until there is room") == 1
-    with pytest.raises(Refused, match="the disk is full"):
+    assert caplog.text.count("are held until it can be written") == 1
+    with pytest.raises(Refused, match="disk is full"):
         core.handle(smoke_start(run="another"))
     metrics = MetricsCore(str(disk / "run.db"))
     metrics.handle(told[-1])

@@ -251,6 +251,6 @@ def test_a_run_that_is_not_there_is_not_commanded_nor_one_without_room() -> None
         core.handle(_command(1, HALF).model_copy(update={"run": "other"}))
     recorder = Recorder(journal, resume=True)
     recorder._core = None
-    with pytest.raises(Refused, match="the disk is full"):
+    with pytest.raises(Refused, match="disk is full"):
         recorder.handle(_command(1, HALF))
     recorder.handle(Tick(0.0))

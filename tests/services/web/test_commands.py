@@ -152,7 +152,10 @@ def test_a_run_that_is_held_or_has_all_its_commands_is_not_commanded(
     app = create(metrics, ADMITTED, 0.1)
     metrics.store.held.add("r")
     held = _post(app, "r", json=HALF)
-    assert (held.status_code, held.json()["detail"]) == (503, "run = 'r': is held, the recorder's disk is full")
+    assert (held.status_code, held.json()["detail"]) == (
+        503,
+        "run = 'r': is held, the recorder cannot write its journal",
+    )
     metrics.store.held.clear()
     monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 1)
     assert _post(app, "r", json=HALF | {"at": 500}).status_code == 201
