@@ -1,20 +1,42 @@
 """The air picture of a dwell, as other systems are told it: messages of a run in, pictures out."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from cogradar.services.skies.place import Place, dwell_s
+from cogradar.shared.protocol.fields import Covariance, Index, State
 from cogradar.shared.protocol.messages import Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.signal.response import strongest_of_each
+from cogradar.shared.wire.codec import Parts
 
 Floats = NDArray[np.float64]
 WAIT_S = 0.05  # for plans of a dwell that are on their way when its waveform is there
 METRES = 1e3  # in a km
+
+
+class TrackReport(Message):
+    """What a picture takes of a plan, each field as checked as there: half of the time is left."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    k: Index
+    t: Index
+    target: Index
+    status: Literal["searching", "tracking", "ended"]
+    estimate: State
+    covariance: Covariance
+    detected: bool
+    existence: Annotated[float | None, Field(ge=0, le=1)] = None
+    confirmed: bool | None = None
+
+
+PARTS: Parts = {Plan: TrackReport}
 
 
 class Track(NamedTuple):
@@ -89,9 +111,10 @@ class Pictures:
         self._wanted = wanted
         self._scan_rows = ScanRows.of(scenario.radar)
         self._plots: tuple[int, tuple[Plot, ...]] = (-1, ())  # of the newest scan, with its dwell
-        self._plans: dict[int, Plan] = {}  # newest of each track
+        self._plans: dict[int, Plan | TrackReport] = {}  # newest of each track
         self._seen_k: dict[int, int] = {}  # when it was detected last, or began
         self._waiting: Waveform | None = None
+        self._behind: set[int] = set()  # tracks whose plan that waveform waits for
         self._k, self._since_s = -1, 0.0  # dwell of the newest waveform, and when it came
         self._t, self._t_k = 0, -1  # newest dwell t that a plan told, and its k
 
@@ -107,7 +130,7 @@ class Pictures:
         utc_s : time of pictures whose run does not state when it begins
         """
         found = list[Picture]()
-        if isinstance(message, Plan) and message.run == self.run:
+        if isinstance(message, Plan | TrackReport) and message.run == self.run:
             self._add(message)
         elif isinstance(message, Scan) and message.run == self.run:
             if self._wanted.plots and message.k > self._k:
@@ -117,7 +140,8 @@ class Pictures:
                 return []  # redelivered
             found = self._complete(utc_s)
             self._waiting, self._k, self._since_s = message, message.k, now_s
-        if self._waiting is not None and all(plan.k >= self._waiting.k for plan in self._plans.values()):
+            self._behind = {n for n, plan in self._plans.items() if plan.k < message.k}
+        if self._waiting is not None and not self._behind:
             found += self._complete(utc_s)
         return found
 
@@ -125,12 +149,14 @@ class Pictures:
         """The picture that has waited for long enough."""
         return self._complete(utc_s) if self.due_s is not None and now_s >= self.due_s else []
 
-    def _add(self, plan: Plan) -> None:
+    def _add(self, plan: Plan | TrackReport) -> None:
         before = self._plans.get(plan.target)
         if before is not None and plan.k <= before.k:
             return
         if plan.k > self._t_k:
             self._t, self._t_k = plan.t, plan.k
+        if plan.k >= self._k or plan.status != "tracking":
+            self._behind.discard(plan.target)
         if plan.status != "tracking":
             self._plans.pop(plan.target, None)
             return
@@ -174,7 +200,7 @@ class Pictures:
         azimuths = (self._place.boresight + np.degrees(np.arcsin(np.clip(2.0 * seen.nu_hats[at], -1.0, 1.0)))) % 360.0
         return tuple(map(Plot, seen.ranges_km[at].tolist(), azimuths.tolist()))
 
-    def _tracks(self, plans: Sequence[Plan], k: int, dt_s: float) -> tuple[Track, ...]:
+    def _tracks(self, plans: Sequence[Plan | TrackReport], k: int, dt_s: float) -> tuple[Track, ...]:
         if not plans:
             return ()
         states, covariances = (np.array([getattr(plan, name) for plan in plans]) for name in ("estimate", "covariance"))

@@ -10,7 +10,7 @@ from typing import Any
 from cogradar.services.analysis.stored_run import Ask, StoredRun
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics
-from cogradar.services.feed.picture import Picture, Pictures, Wanted
+from cogradar.services.feed.picture import PARTS, Picture, Pictures, Wanted
 from cogradar.services.metrics.client import ANSWER_WITHIN_S, CONNECT_WITHIN_S
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
@@ -43,7 +43,8 @@ def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, want
     pictures = Pictures(stored.name, stored.scenario, site_of(stored.name, stored.scenario), wanted)
     due_s = time.monotonic()
     for _, payloads in stored.messages("plan", "waveform", *(["scan"] if wanted.plots else [])):
-        for picture in [one for payload in payloads for one in pictures.take(decode(payload), due_s, time.time())]:
+        said = [decode(payload, PARTS) for payload in payloads]
+        for picture in [one for message in said for one in pictures.take(message, due_s, time.time())]:
             while (left := due_s - time.monotonic()) > 0.0:
                 check()
                 time.sleep(min(left, 0.1))
@@ -65,8 +66,8 @@ def live(
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
     try:
-        scans = (Scan,) if wanted.plots else ()
-        listener = Listener(session, (Checkpoint, *scans, Plan, Waveform))  # first: nothing is missed after the answer
+        kinds = (Checkpoint, *((Scan,) if wanted.plots else ()), Plan, Waveform)
+        listener = Listener(session, kinds, PARTS)  # first: nothing is missed after the answer
         try:
             yield from _Followed(session, run, check, notify, wanted).pictures(listener)
         finally:

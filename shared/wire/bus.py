@@ -11,7 +11,7 @@ from cogradar.shared.protocol.events import Event, Membership
 from cogradar.shared.protocol.messages import Message
 from cogradar.shared.protocol.slots import ALL_SLOTS, may_be_said, slots_of
 from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
-from cogradar.shared.wire.codec import BadMessage, decode, encode, split
+from cogradar.shared.wire.codec import WHOLE, BadMessage, Parts, decode, encode, split
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -46,16 +46,17 @@ MAX_WAITING_BYTES = 32 << 20  # ... and their bytes, that wait at a process
 class Inbox:
     """Decodes what arrives; drops, counts and logs what is no valid message."""
 
-    def __init__(self, build: str | None = None) -> None:
-        """`build` of the senders; None: of any, for who only watches."""
-        self._build = build
+    def __init__(self, build: str | None = None, parts: Parts = WHOLE) -> None:
+        """`build` of the senders; None: of any, for who only watches. `parts`: of `decode`."""
+        self._build, self._parts = build, parts
+        self._whole = {part: whole for whole, part in parts.items()}
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
         self.bad_of_topic: Counter[str] = Counter()
 
     def open(self, key: str, payload: bytes) -> list[Message]:
         """Messages of a payload that came on `key`: none if it is bad, several if they travelled together."""
         try:
-            messages = [decode(one) for one in split(payload)]
+            messages = [decode(one, self._parts) for one in split(payload)]
         except BadMessage as error:
             self.drop(key, str(error))
             return []
@@ -68,7 +69,8 @@ class Inbox:
 
     def _is_key_of(self, messages: Sequence[Message], key: str) -> bool:
         build = next(iter(key.split("/")[2:]), "") if self._build is None else self._build
-        topic = BY_MESSAGE[type(messages[0])]
+        kind = type(messages[0])
+        topic = BY_MESSAGE[self._whole.get(kind, kind)]
         slots = topic.slots_on(key)
         is_key = key == topic.key_of(messages[0], build, slots)
         return is_key and (topic.producer is not Role.PLANNER or all(may_be_said(one, slots) for one in messages))

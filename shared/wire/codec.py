@@ -3,8 +3,9 @@
 import math
 import reprlib
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import msgpack
@@ -32,6 +33,10 @@ DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
 
+Parts = Mapping[type[Message], type[Message]]  # of kinds of messages, with some of their fields
+WHOLE: Parts = MappingProxyType({})
+
+
 class BadMessage(ValueError):
     """Bytes that are no message of this schema; the text is one line."""
 
@@ -53,11 +58,19 @@ def _fields(message: type[Message]) -> tuple[tuple[str, bool], ...]:
     return tuple((name, field.is_required()) for name, field in message.model_fields.items())
 
 
-def decode(payload: bytes) -> Message:
-    """Decode and check a message. Raises BadMessage, and nothing else, for anything that is not one."""
-    topic, body = _open(payload)
+def decode(payload: bytes, parts: Parts = WHOLE) -> Message:
+    """Decode and check a message. Raises BadMessage, and nothing else, for anything that is not one.
+
+    parts : of messages of these kinds what is read; whatever else they have is not looked at
+    """
+    topic, body = _open(payload, keeps_packed=bool(parts))
+    kind = parts.get(BY_NAME[topic].message)
     try:
-        return BY_NAME[topic].message.model_validate(body)
+        if kind is not None:
+            read = {name: body[name] for name in kind.model_fields if name in body}
+            arrays = {n: _unpack_array(*value) for n, value in read.items() if isinstance(value, tuple)}
+            return kind.model_validate(read | arrays)
+        return BY_NAME[topic].message.model_validate(_open(payload)[1] if parts else body)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(part) for part in (topic, *first["loc"]))
@@ -105,14 +118,14 @@ def _run(name: str) -> bytes:
     return field
 
 
-def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
-    """Topic and body of an envelope of this schema."""
+def _open(payload: bytes, *, keeps_packed: bool = False) -> tuple[str, dict[str, Any]]:
+    """Topic and body of an envelope of this schema; `keeps_packed`: its arrays as (type, bytes)."""
     if not isinstance(payload, bytes):  # SQLite keeps anything in any column
         raise BadMessage(f"{type(payload).__name__} instead of bytes")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
     try:
-        envelope = _unpacked(payload)
+        envelope = _unpacked(payload, keeps_packed=keeps_packed)
     except BadMessage:
         raise
     except (ValueError, OverflowError) as error:  # broken, truncated, nested too deeply, more than one object
@@ -129,12 +142,12 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     return topic, body
 
 
-def _unpacked(payload: bytes) -> Any:
+def _unpacked(payload: bytes, *, keeps_packed: bool = False) -> Any:
     """What a payload holds. Raises BadMessage, or an error of msgpack."""
     budget = _Budget()
     return msgpack.unpackb(
         payload,
-        ext_hook=budget.array,
+        ext_hook=budget.packed if keeps_packed else budget.array,
         list_hook=budget.list,
         object_hook=budget.map,
         max_array_len=MAX_ROWS,
@@ -163,11 +176,14 @@ class _Budget:
             raise BadMessage(f"more than {MAX_MAPS} maps")
         return value
 
-    def array(self, code: int, data: bytes) -> NDArray[Any]:
+    def packed(self, code: int, data: bytes) -> tuple[int, bytes]:
         self.arrays -= 1
         if self.arrays < 0:
             raise BadMessage(f"more than {MAX_ARRAYS} arrays")
-        return _unpack_array(code, data)
+        return code, data
+
+    def array(self, code: int, data: bytes) -> NDArray[Any]:
+        return _unpack_array(*self.packed(code, data))
 
 
 def _packed(value: object) -> msgpack.ExtType | dict[str, object]:

@@ -31,7 +31,7 @@ from cogradar.shared.protocol.topics import (
     topics_read_by,
 )
 from cogradar.shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, Inbox
-from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
+from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, WHOLE, Parts, encode, join
 from cogradar.shared.wire.membership import LiveNames
 from cogradar.shared.wire.meter import Meter
 from cogradar.shared.wire.queries import Alive, Answer, alive, names_alive, parameters, reply
@@ -275,9 +275,9 @@ class Listener:
     came. The oldest give way.
     """
 
-    def __init__(self, session: zenoh.Session, kinds: Sequence[type[Message]]) -> None:
-        """Subscribe; the session stays its owner's."""
-        self._inbox = Inbox()
+    def __init__(self, session: zenoh.Session, kinds: Sequence[type[Message]], parts: Parts = WHOLE) -> None:
+        """Subscribe; the session stays its owner's. `parts`: of `decode`."""
+        self._inbox = Inbox(parts=parts)
         self._arrivals: Arrivals[_Payload] = Arrivals()
         self._subscribers = [
             session.declare_subscriber(BY_MESSAGE[kind].pattern("*"), self._reader(BY_MESSAGE[kind].name))

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from cogradar.services.feed.picture import TRACKS_ALONE, WAIT_S, Picture, Pictures, Wanted
+from cogradar.services.feed.picture import PARTS, TRACKS_ALONE, WAIT_S, Picture, Pictures, TrackReport, Wanted
 from cogradar.services.skies.place import Place
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.tracking.association import echoes
+from cogradar.shared.wire.bus import Inbox
+from cogradar.shared.wire.codec import BadMessage, decode, encode, join
 from tests.services.feed.made import SITE
 from tests.services.loop import play, smoke_start
 from tests.skies import sky_start
@@ -81,6 +84,44 @@ def test_tentative_tracks_are_told_on_request(sky: list[Message]) -> None:
     found = [track for picture in pictures_of(sky, Wanted(tentative=True)) for track in picture.tracks]
     assert {track.confirmed for track in found} == {True, False}
     assert all(track.existence is not None for track in found)
+
+
+def test_a_plan_is_read_as_far_as_a_picture_needs_it_with_the_same_limits(sky: list[Message]) -> None:
+    for name, field in TrackReport.model_fields.items():
+        of_plan = Plan.model_fields[name]
+        assert (field.annotation, repr(field.metadata)) == (of_plan.annotation, repr(of_plan.metadata))
+    plans = [message for message in sky if isinstance(message, Plan)]
+    found = [decode(encode(plan), PARTS) for plan in plans]
+    for report, plan in zip(found, plans, strict=True):
+        assert isinstance(report, TrackReport)
+        for name in TrackReport.model_fields:
+            assert repr(getattr(report, name)) == repr(getattr(plan, name))
+    for fault in ({"k": -1}, {"estimate": np.full(4, np.nan)}, {"existence": 1.5}, {"status": "lost"}):
+        with pytest.raises(BadMessage, match=f"plan.{next(iter(fault))}"):
+            decode(encode(plans[0].model_copy(update=fault)), PARTS)
+    waveform = next(message for message in sky if isinstance(message, Waveform))
+    assert decode(encode(waveform), PARTS) == waveform
+
+
+def test_a_listener_takes_plans_from_their_key_alone(sky: list[Message]) -> None:
+    plans = [message for message in sky if isinstance(message, Plan)][:2]
+    inbox, payload = Inbox(parts=PARTS), join([encode(plan) for plan in plans])
+    assert [type(one) for one in inbox.open(BY_MESSAGE[Plan].key_of(plans[0], "build"), payload)] == [TrackReport] * 2
+    assert inbox.open(BY_MESSAGE[Waveform].key_of(plans[0], "build"), payload) == []
+
+
+def test_a_waveform_waits_for_no_track_that_has_ended() -> None:
+    said = [message for message in play(smoke_start(dwells=3)) if isinstance(message, RunStart | Plan | Waveform)]
+    late = [message for message in said if isinstance(message, Plan) and message.t == 3 and message.target == 0]
+    start, last = said[0], max(message.k for message in said if isinstance(message, Waveform))
+    assert isinstance(start, RunStart)
+    made = Pictures(start.run, Scenario.model_validate(start.scenario), SITE)
+    found = [one for message in said if message not in late for one in made.take(message, 0.0, 0.0)]
+    assert found[-1].t == 2
+    end = late[0].model_copy(update={"k": last - 1, "status": "searching"})
+    assert made.take(end, 0.0, 0.0) == []  # older than what is known of the track
+    (picture,) = made.take(late[0].model_copy(update={"status": "searching"}), 0.0, 0.0)
+    assert [track.number for track in picture.tracks] == [2]
 
 
 def test_plots_are_the_detections_of_a_dwell_and_one_of_each_echo(sky: list[Message]) -> None:
