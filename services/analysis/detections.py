@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.protocol.messages import ABSENT, Scan, Truth
 from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.signal.response import strongest_of_each
 from cogradar.shared.signal.scan import Detections
 
 Floats = NDArray[np.float64]
@@ -18,7 +19,7 @@ class DetectedCells(NamedTuple):
     """The n detections of a run, (n,) each, in the order of dwell and direction.
 
     A look that tests several range cells reports those with a target and the loudest other one. So a simulated look
-    has no more than one false alarm.
+    has no more than one false alarm. A target between two looks, or two range cells, is over the limit in both.
     """
 
     k: Ints  # dwell, of all
@@ -32,13 +33,14 @@ class DetectedCells(NamedTuple):
     alpha_hat: NDArray[np.complex128]  # estimated echo amplitude
     sigma_hat: Floats  # its estimated standard deviation
     signature_power: Floats  # ||v||^2 of what was radiated in this direction
+    strongest: Ints  # 1 of the strongest of the rows that may be one echo, as trackers take it; 0 of the others
     target: Ints  # target in the cell, from 1; 0: none, a false alarm, or without truth
 
     @classmethod
     def of(cls, scan_rows: ScanRows, scans: Iterable[Scan], truths: Mapping[int, Truth]) -> Self:
         """Of scans; truths: by dwell k, where the truth is known."""
         parts = [_over(scan_rows, scan, truths.get(scan.k)) for scan in scans]
-        kinds = (np.int64, np.int64, *(6 * [np.float64]), np.complex128, np.float64, np.float64, np.int64)
+        kinds = (np.int64, np.int64, *(6 * [np.float64]), np.complex128, np.float64, np.float64, np.int64, np.int64)
         columns = zip(*parts, strict=True) if parts else [[] for _ in kinds]
         return cls(*(np.concatenate([[], *column]).astype(kind) for column, kind in zip(columns, kinds, strict=True)))
 
@@ -52,6 +54,8 @@ def _over(scan_rows: ScanRows, scan: Scan, truth: Truth | None) -> tuple[NDArray
     """The columns of `DetectedCells` of one scan."""
     seen = scan_rows.read(vars(scan))
     at = np.flatnonzero(seen.is_over())
+    strongest = np.zeros(at.size, dtype=np.int64)
+    strongest[strongest_of_each(scan_rows.response, seen.statistic[at], seen.nus[at], seen.ranges_km[at])] = 1
     is_measured, has_range = seen.nu_sigmas[at] > 0.0, seen.ranges_km[at] > 0.0
     return (
         np.full(at.size, scan.k),
@@ -65,6 +69,7 @@ def _over(scan_rows: ScanRows, scan: Scan, truth: Truth | None) -> tuple[NDArray
         seen.alpha_hat[at],
         seen.sigma_hat[at],
         seen.signature_power[at],
+        strongest,
         np.zeros(at.size) if truth is None else _held(scan_rows, seen, truth)[at],
     )
 

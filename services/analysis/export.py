@@ -128,8 +128,8 @@ def detections(result: Result) -> Table:
 
     `t` is 0 during an acquisition. `p_fa` is the probability that a cell of disturbance alone is over the limit.
     `nu_measured` and its sigma are NaN if the direction of the echo was not measured, `range_km` and `range_cell_km`
-    without range cells. `target` is the one in the cell, 0: none; left out without truth. Raises BadInput if no scan is
-    stored.
+    without range cells. `strongest` is 1 for one row of each echo. `target` is the one in the cell, 0: none; left out
+    without truth. Raises BadInput if no scan is stored.
     """
     found, radar = result.detected_cells, result.scenario.radar
     of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
@@ -143,6 +143,7 @@ def detections(result: Result) -> Table:
     columns |= {"statistic": found.statistic, "limit": found.limit, "p_fa": found.p_fa}
     columns |= {"alpha_hat_real": found.alpha_hat.real, "alpha_hat_imag": found.alpha_hat.imag}
     columns |= {"sigma_hat": found.sigma_hat, "signature_power": found.signature_power}
+    columns |= {"strongest": found.strongest}
     return columns | ({"target": found.target} if result.has_truth else {})
 
 

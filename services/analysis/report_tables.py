@@ -179,6 +179,31 @@ def heading(report: dict[str, Any]) -> str:
     return f"{report['scenario']}: {report['title']}"
 
 
+def verdict(report: dict[str, Any]) -> str:
+    """What the runs show, in a sentence or two: tracks that were lost, and the target whose P_D differs most."""
+    lost = [
+        f"{row['strategy']} lost {row['lost']} of {row['tracks']} tracks in {_runs(row['runs'])}"
+        for row in report["overall"]
+    ]
+    said = [", ".join(lost)] if lost else []
+    known = [row for row in report["differences"] if row["p_d_low"] is not None]
+    for pair in dict.fromkeys((row["strategy"], row["minus"]) for row in known):
+        rows = [row for row in known if (row["strategy"], row["minus"]) == pair]
+        clear = [row for row in rows if not row["p_d_low"] <= 0.0 <= row["p_d_high"]]
+        of = f"{pair[0]} - {pair[1]}, dwells {rows[0]['first_dwell']}-{rows[0]['last_dwell']}, {_runs(rows[0]['runs'])}"
+        if not clear:
+            said.append(f"{of}: no target's P_D differs beyond its interval")
+            continue
+        most = max(clear, key=lambda row: abs(row["p_d"]))
+        interval = f"[{most['p_d_low']:+.3f}, {most['p_d_high']:+.3f}]"
+        said.append(f"{of}: P_D of target {most['target']} differs most, {most['p_d']:+.3f} {interval}")
+    return ". ".join(said)
+
+
+def _runs(n: int) -> str:
+    return f"{n} run{'s' * (n != 1)}"
+
+
 def caption(report: dict[str, Any]) -> str:
     """Which runs it is of, and what its intervals are."""
     runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())

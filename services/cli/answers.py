@@ -31,7 +31,7 @@ from cogradar.services.cli.console import (
     progress,
     say,
 )
-from cogradar.services.errors import BadInput, NoMetrics, RunFailed, check_stop
+from cogradar.services.errors import BadInput, RunFailed, check_stop
 
 if TYPE_CHECKING:
     from cogradar.services.analysis.run_arrays import Result
@@ -122,11 +122,8 @@ def query(
             raise BadInput("--json and --csv: one of them")
         if metric not in completion.METRICS:
             raise BadInput(f"metric = {metric!r}: must be one of {', '.join(completion.METRICS)}")
-        try:
-            with asking.source(store, connect) as ask:
-                rows = ask(metric, parameters)
-        except NoMetrics as error:
-            raise NoMetrics(f"{error}; a run that was kept answers from its file: query --store FILE") from None
+        with asking.source(store, connect) as ask:
+            rows = ask(metric, parameters)
         if columns is not None:
             rows = _only(rows, columns.split(","))
     if as_json:
@@ -274,6 +271,13 @@ def feed(
     ] = 10.0,
     sac: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the area of the system.")] = 0,
     sic: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the system.")] = 1,
+    site: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON,HEIGHT,BEARING",
+            help="Where the radar stands and looks, degrees and m, in place of the scenario's [site].",
+        ),
+    ] = None,
     categories: Annotated[
         str, typer.Option(metavar="A,B", help="ASTERIX: 034 the radar, 048 its plots and tracks, 062 tracks.")
     ] = "034,062",
@@ -282,13 +286,13 @@ def feed(
 
     Without RUN it follows the newest run, and those that begin after it, until
     Ctrl-C. Each picture has all tracks, so that a display which joins late is
-    complete after one dwell; at the end all tracks are dropped. The scenario
-    must have a table `site`, which says where the radar stands.
+    complete after one dwell; at the end all tracks are dropped. The scenario's
+    table `site` says where the radar stands, or else --site does.
     """
     from cogradar.services.feed import feed as feeding
     from cogradar.services.feed.asterix import Source
     from cogradar.services.feed.picture import Wanted
-    from cogradar.services.feed.source import live, recorded
+    from cogradar.services.feed.source import live, recorded, site_from
     from cogradar.services.metrics import client as asking
 
     with command(zenoh_config=zenoh_config) as stop:
@@ -296,7 +300,7 @@ def feed(
         form = kind.make(feeding.Options(Source(sac, sic), categories, stale))
         way = kind.way(where, form, notify)
         try:
-            wanted = Wanted(tentative, plots=form.wants_plots)
+            wanted = Wanted(tentative, form.wants_plots, None if site is None else site_from(site))
             if store is None:
                 n = feeding.feed(live(connect, run_, check, notify, wanted), form, way, rate)
             else:

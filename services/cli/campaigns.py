@@ -227,6 +227,7 @@ def report(
         return
     for one in found:
         say(report_tables.heading(one), style="bold")
+        say(report_tables.verdict(one))
         print_tables(out, report_tables.tables(one))
         say(report_tables.caption(one))
 

@@ -40,6 +40,7 @@ from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES, marked
@@ -62,6 +63,7 @@ HttpOption = Annotated[
     ),
 ]
 KeepOption = Annotated[bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")]
+ENDLESS_STORE = "grows with each dwell until it has 4 GB of messages; the oldest dwells make room then"
 STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
 
 
@@ -107,7 +109,8 @@ def run(
             raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
-        for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world):
+        stored = store if dwells == NO_END or (dwells is None and loaded.dwells == NO_END) else None
+        for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world, endless=stored):
             say(text, err)
         rate_hz = rate_of(loaded, pace, rate)
         start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
@@ -151,9 +154,10 @@ def _show(
         say(next_steps(program(), result.run["run"], store, endpoint, url))
 
 
-def _remarks(*, turns: int, ignores_world: bool) -> list[str]:
-    """What an option means that may have been meant otherwise."""
-    remarks = [f"--in-process: {turns} planners take turns in one process"] if turns > 1 else []
+def _remarks(*, turns: int, ignores_world: bool, endless: str | None) -> list[str]:
+    """What an option means that may have been meant otherwise; endless: the store of a run without an end."""
+    remarks = [] if endless is None else [f"{endless}: {ENDLESS_STORE}"]
+    remarks += [f"--in-process: {turns} planners take turns in one process"] if turns > 1 else []
     return remarks + (["--front-end: the scenario's [world] is ignored, nothing is simulated"] if ignores_world else [])
 
 

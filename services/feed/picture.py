@@ -94,6 +94,7 @@ class Wanted(NamedTuple):
 
     tentative: bool = False  # tracks that are not confirmed, too
     plots: bool = False
+    site: SiteSection | None = None  # in place of the scenario's
 
 
 TRACKS_ALONE = Wanted()

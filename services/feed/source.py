@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+from pydantic import ValidationError
+
 from cogradar.services.analysis.stored_run import Ask, StoredRun
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics
 from cogradar.services.feed.picture import PARTS, Picture, Pictures, Wanted
-from cogradar.services.metrics.client import ANSWER_WITHIN_S, CONNECT_WITHIN_S
+from cogradar.services.metrics.client import ANSWER_WITHIN_S, CONNECT_WITHIN_S, CURE
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.wire.codec import decode
@@ -27,20 +29,37 @@ KEPT = 2_000  # messages of runs that have begun, until metrics has said where t
 Check = Callable[[], None]  # raises Interrupted when the feed is to end
 
 
-def site_of(run: str, scenario: Scenario) -> SiteSection:
-    """Where the radar of a run is. Raises BadInput."""
-    if scenario.site is None:
+def site_from(text: str) -> SiteSection:
+    """A site as it is written on a command line. Raises BadInput."""
+    names = ("latitude_deg", "longitude_deg", "height_m", "boresight_deg")
+    try:
+        values = [float(part) for part in text.split(",")]
+        return SiteSection.model_validate(dict(zip(names, values, strict=True)))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise BadInput(f"--site {text}: {first['loc'][0]}: {first['msg'].lower()}") from None
+    except ValueError:
         raise BadInput(
-            f"run {run}: its scenario has no [site], so its tracks have no place on the earth: begin a run with"
-            " --set site.latitude_deg=... --set site.longitude_deg=... --set site.boresight_deg=..."
+            f"--site {text}: must be LATITUDE,LONGITUDE,HEIGHT,BEARING, in degrees and m, as 48.35,11.79,450,60"
+        ) from None
+
+
+def site_of(run: str, scenario: Scenario, given: SiteSection | None = None) -> SiteSection:
+    """Where the radar of a run is: where it is `given`, or where its scenario says. Raises BadInput."""
+    site = given or scenario.site
+    if site is None:
+        raise BadInput(
+            f"run {run}: its scenario has no [site], so its tracks have no place on the earth: say it with"
+            " --site LAT,LON,HEIGHT,BEARING, or begin a run with --set site.latitude_deg=..."
         )
-    return scenario.site
+    return site
 
 
 def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, wanted: Wanted) -> Iterator[Picture]:
     """The pictures of a run that was recorded, `speed` times as fast as it was; 0: without a pause. Raises BadInput."""
     stored = StoredRun(ask_metrics, run)
-    pictures = Pictures(stored.name, stored.scenario, site_of(stored.name, stored.scenario), wanted)
+    site = site_of(stored.name, stored.scenario, wanted.site)
+    pictures = Pictures(stored.name, stored.scenario, site, wanted)
     due_s = time.monotonic()
     for _, payloads in stored.messages("plan", "waveform", *(["scan"] if wanted.plots else [])):
         said = [decode(payload, PARTS) for payload in payloads]
@@ -64,7 +83,7 @@ def live(
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=check)
     except ConnectionError as error:
-        raise NoMetrics(f"no metrics service: {error}") from None
+        raise NoMetrics(f"no metrics service: {error}{CURE}") from None
     try:
         kinds = (Checkpoint, *((Scan,) if wanted.plots else ()), Plan, Waveform)
         listener = Listener(session, kinds, PARTS)  # first: nothing is missed after the answer
@@ -167,7 +186,7 @@ class _Followed:
             return
         self._known.add(row["run"])
         scenario = Scenario.model_validate(row["document"])
-        site = site_of(row["run"], scenario)
+        site = site_of(row["run"], scenario, self._wanted.site)
         self._now = Pictures(row["run"], scenario, site, self._wanted)
         self._notify(f"following {row['run']}")
 
@@ -177,7 +196,7 @@ class _Followed:
             given = {} if run is None else {"run": run}
             (row,) = json.loads(ask(self._session, "one_run", given, within_s, self._check))
         except NoAnswer as error:
-            raise NoMetrics(f"no metrics service: {error}") from None
+            raise NoMetrics(f"no metrics service: {error}{CURE}") from None
         except BadRequest as error:
             if run is None:
                 return None

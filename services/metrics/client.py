@@ -14,6 +14,10 @@ from cogradar.shared.wire.queries import BadRequest, NoAnswer, ask
 from cogradar.shared.wire.session import open_session
 
 CONNECT_WITHIN_S = 3.0
+CURE = (
+    "; a run that was kept answers from its file: --store FILE; beside `cogradar run --keep` use the --connect that it"
+    " prints"
+)
 ANSWER_WITHIN_S = 10.0  # on a busy machine it takes a while
 
 
@@ -23,11 +27,11 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
-        raise NoMetrics(f"no metrics service: {error}") from None
+        raise NoMetrics(f"no metrics service: {error}{CURE}") from None
     try:
         rows: Rows = json.loads(ask(session, metric, parameters, timeout_s=ANSWER_WITHIN_S))
     except NoAnswer:
-        raise NoMetrics(f"no metrics service answers at {endpoint}") from None
+        raise NoMetrics(f"no metrics service answers at {endpoint}{CURE}") from None
     except BadRequest as error:
         raise BadInput(str(error)) from None
     finally:

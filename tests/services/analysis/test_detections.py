@@ -22,8 +22,10 @@ from cogradar.services.runs import in_process
 from cogradar.shared.protocol.messages import RunStart, Scan, Truth
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.association import echoes
 from cogradar.shared.wire.codec import decode
 
 DWELLS, WIDTH = 14, 0.5
@@ -86,6 +88,15 @@ def test_there_is_a_row_for_each_cell_over_its_limit(file: str, tmp_path: Path) 
     assert f"{at} detections in {DWELLS} dwells" in done.output.replace("\n", " ")
     of_targets = found[(found["target"] > 0) & (found["t"] > 0)].groupby(["t", "target"]).size()
     assert len(of_targets) == result.detections.sum()  # whoever asked for the cell
+
+
+def test_the_strongest_rows_are_what_a_tracker_takes(file: str) -> None:
+    result = _result(file)
+    found, rows = result.detected_cells, ScanRows.of(result.scenario.radar)
+    for k, scan in _messages(file, "scan").items():
+        seen = rows.read(vars(scan))
+        over = np.flatnonzero(seen.is_over())
+        assert over[found.strongest[found.k == k] == 1].tolist() == echoes(rows.response, seen, over).tolist()
 
 
 @pytest.mark.parametrize("form", ["npz", "parquet", "mat", "json"])

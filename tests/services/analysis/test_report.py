@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest
 
 from cogradar.services.analysis.report import report
-from cogradar.services.analysis.report_tables import caption, heading, tables, write
+from cogradar.services.analysis.report_tables import caption, heading, tables, verdict, write
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.recording import take
@@ -259,6 +259,22 @@ def test_consistency_is_split_by_the_acceleration_of_the_targets(store: Store) -
         assert row["nees"] == row["nees_low"] == row["nees_high"] == pytest.approx(NEES)
         assert (row["nees_position"], row["beyond_99"]) == (pytest.approx(0.5 * NEES), 0.0)
     assert (found[3]["nees"], found[3]["beyond_99"]) == (None, None)
+
+
+def test_the_verdict_says_which_strategy_lost_and_where_they_differ_most() -> None:
+    overall = [{"strategy": "orthogonal", "lost": 2, "tracks": 6, "runs": 3}]
+    overall += [{"strategy": "power-aware", "lost": 0, "tracks": 6, "runs": 3}]
+    row = {"strategy": "power-aware", "minus": "orthogonal", "runs": 3, "first_dwell": 11, "last_dwell": 60}
+    differences = [
+        row | {"target": m + 1, "p_d": p_d, "p_d_low": p_d - 0.1, "p_d_high": p_d + 0.1}
+        for m, p_d in enumerate((0.05, -0.3, 0.2))
+    ]
+    assert verdict({"overall": overall, "differences": differences}) == (
+        "orthogonal lost 2 of 6 tracks in 3 runs, power-aware lost 0 of 6 tracks in 3 runs."
+        " power-aware - orthogonal, dwells 11-60, 3 runs: P_D of target 2 differs most, -0.300 [-0.400, -0.200]"
+    )
+    said = verdict({"overall": [], "differences": differences[:1]})
+    assert said.endswith("no target's P_D differs beyond its interval")
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:

@@ -46,6 +46,26 @@ def test_it_is_played_at_the_pace_that_is_asked_for(file: str, tmp_path: Path, m
     assert max(waited) <= 0.1
 
 
+def test_a_run_without_a_site_is_put_where_the_command_says(file: str, tmp_path: Path) -> None:
+    without = json.loads(here("query", "runs", "--store", file, "--json").stdout)[0]["run"]
+    options = ("--to", "aircraft-json", without, "--out", str(tmp_path), "--store", file, "--speed", "0")
+    assert here("feed", *options, "--site", "-33.9,18.4,10,60").returncode == 0
+    receiver = json.loads((tmp_path / "receiver.json").read_text())
+    assert (receiver["lat"], receiver["lon"]) == (-33.9, 18.4)
+
+
+def test_without_services_the_cure_is_said(tmp_path: Path) -> None:
+    for command in (
+        ("feed", "--to", "geojson", "--out", str(tmp_path)),
+        ("export", "--out", "x.csv"),
+        ("query", "runs"),
+    ):
+        done = here(*command, "--connect", "tcp/127.0.0.1:9")
+        assert done.returncode == 3, done
+        assert "--store FILE" in done.stderr
+        assert "--connect that it" in done.stderr.replace("\n", " ")
+
+
 def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
     without = json.loads(here("query", "runs", "--store", file, "--json").stdout)[0]["run"]
     out = ("--out", str(tmp_path), "--store", file)
@@ -54,6 +74,8 @@ def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
         (("--to", "asterix", "--categories", "48", "--out", "-", "--store", file), "must be some of 034, 048, 062"),
         (("--to", "geojson", without, *out), "has no [site]"),
         (("--to", "geojson", "nothing", *out), "no such run"),
+        (("--to", "geojson", "--site", "48,11", *out), "must be LATITUDE,LONGITUDE,HEIGHT,BEARING"),
+        (("--to", "geojson", "--site", "148,11,0,60", *out), "latitude_deg: input should be less than or equal to 90"),
         (("--to", "geojson", "--out", f"{file}/x", "--store", file), "is no folder that can be written to"),
         (("--to", "geojson", "--out", "udp:1.2.3.4:8600/x", "--store", file), "must be udp://HOST:PORT"),
     ):
