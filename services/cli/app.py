@@ -316,8 +316,13 @@ def check(
         say(
             "SNR of one virtual channel over the disturbance's mean level; array: after the gain of all of them, with"
             " all power on this target; disturbance: its level towards the target, relative to the mean, which the"
-            " detector has to beat as well; P_D: to be expected at the start with each strategy's power, if every"
-            " track asks for its target's bin"
+            " detector has to beat as well; "
+            + (
+                "P_D: to be expected at the start with each strategy's power, if every track asks for its target's bin"
+                if radar.search is None
+                else "P_D search: of a look of the search while it has all power, where the target begins; seen after:"
+                " the time until the first detection to be expected then. Tracks take up to nine tenths of the power"
+            )
         )
     found = warnings(loaded, expected)
     for text in found:

@@ -1,6 +1,8 @@
 """What all commands share: the two consoles, their options, how a command ends, how a stop is noticed."""
 
 import csv
+import errno
+import io
 import json
 import os
 import re
@@ -29,6 +31,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import RULES
 
+_UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
 # A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
@@ -222,8 +225,20 @@ def _settings_of_zenoh(file: str | None) -> Iterator[None]:
 
 def call(app: typer.Typer) -> NoReturn:
     """Run a command line. What is wrong with it is a line on standard error, like any other bad input."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal without umlauts
     try:
-        sys.exit(app(standalone_mode=False))
+        code = app(standalone_mode=False)
+        sys.stdout.flush()
+        sys.exit(code)
+    except OSError as error:
+        if error.errno not in _UNWRITTEN:
+            raise
+        complain(f"{error.filename or 'standard output'}: {error.strerror}: the output is not complete")
+        # Python would try once more to write what is left, and fail.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(RunFailed.exit_code)
     except typer.TyperException as error:
         if str(error.format_message()):  # else it is the help, which is there already
             complain(wrong_usage(error))

@@ -187,6 +187,7 @@ def check_table(found: Sequence["Prospect"]) -> Table:
         Column("array dB", "{array_snr_db:.1f}"),
         Column("disturbance dB", "{disturbance_db:+.1f}"),
         *(Column(f"P_D {name}", f"{{{name}:.3f}}") for name in found[0].p_d),
+        *([Column("seen after s", "{seconds:.3g}")] if found[0].seconds is not None else []),
     ]
     return Table("", columns, [{**prospect._asdict(), **prospect.p_d} for prospect in found])
 

@@ -1,5 +1,6 @@
 """What is wrong with a document, one line per fault: the key, its value, and what may stand there."""
 
+import re
 import reprlib
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
@@ -11,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 
+_NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*[^\W\d_]{0,8}\s*")
 MAX_EXPLAINED = 20  # faults of one document that have a line each; to explain one takes a fifth of a millisecond
 MAX_SHOWN = 60  # characters of a key
 _NOUN = {
@@ -112,13 +114,22 @@ def _fault(error: ErrorDetails, model: type[BaseModel]) -> Fault:
         case "value_error":
             text = plain(error)
         case _:
-            text = allowed(_schema_at(loc, model))
+            schema = _schema_at(loc, model)
+            text = allowed(schema) + _without_unit(schema, value)
     return Fault(loc, shown, text)
 
 
 def _unknown(loc: Loc, model: type[BaseModel]) -> Fault:
     known = ", ".join(_schema_at(loc[:-1], model)["properties"])
     return Fault(loc, "", f"unknown key{_nearest(loc, model)}, must be one of {known}")
+
+
+def _without_unit(schema: dict[str, Any], value: object) -> str:
+    """The cure for a number that is written as a text, such as "72 dB"; nothing for anything else."""
+    if schema.get("type") not in ("number", "integer") or not isinstance(value, str):
+        return ""
+    found = _NUMBER.fullmatch(value[:40])
+    return f"; write {found[1]}, without quotes and unit" if found else ""
 
 
 def _nearest(loc: Loc, model: type[BaseModel]) -> str:

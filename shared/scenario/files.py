@@ -21,7 +21,7 @@ from cogradar.shared.scenario.document import (
 from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable, unknown_keys
 from cogradar.shared.scenario.limits import MAX_ROWS
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.scenario import ASSUMED, Scenario
 from cogradar.shared.scenario.section import Section
 from cogradar.shared.scenario.tables import FIDELITY
 from cogradar.shared.scenario.world_config import WorldConfig
@@ -202,11 +202,19 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
         found += cross_faults(tables, found)
     elif kind is RadarConfig:
         found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
+    found = list(dict.fromkeys(_as_written(fault, document) for fault in found))
     n = len(lines) + len(found)
     lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[:MAX_EXPLAINED]]
     if not lines:
         return checked
     raise _refusal(lines, n)
+
+
+def _as_written(fault: Fault, document: Document) -> Fault:
+    """The fault where its value stands: the world takes over what the radar assumes and the file leaves out."""
+    loc = tuple(fault.loc)
+    is_taken = any(loc == ("world", *place) for place in ASSUMED) and loc[1] not in _within(document, ["world"])
+    return fault._replace(loc=("radar", *loc[1:]) if is_taken else loc)
 
 
 def _refusal(lines: Sequence[str], n: int) -> ScenarioError:

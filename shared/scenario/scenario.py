@@ -16,7 +16,7 @@ from cogradar.shared.scenario.world_config import WorldConfig
 MAX_TITLE = 200  # characters
 
 # What nature does where the file says nothing of it: as the radar assumes.
-_ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))
+ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))  # of [radar], where [world] leaves it out
 
 
 FIRST_YEAR, LAST_YEAR = 1970, 2199  # of a site's clock
@@ -113,7 +113,7 @@ class Scenario(Section):
         match data:
             case {"world": dict(world), "radar": dict(radar)}:
                 filled = dict(world)
-                for section, key in _ASSUMED:
+                for section, key in ASSUMED:
                     assumed = radar.get(section)
                     if section not in filled and isinstance(assumed, dict) and key in assumed:
                         filled[section] = {key: assumed[key]}

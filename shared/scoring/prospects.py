@@ -4,6 +4,7 @@ Closed forms at the start of the run, from what the world will do; nothing is dr
 """
 
 from collections.abc import Sequence
+from itertools import repeat
 from math import inf
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.power.rules import Requests, power_rule
+from cogradar.shared.power.search import search_directions
 from cogradar.shared.power.wide import ASTRAY, sure_powers
 from cogradar.shared.scenario.limits import (
     CONTAINER_BYTES,
@@ -23,18 +25,19 @@ from cogradar.shared.scenario.limits import (
     said_dwells,
     tree_bytes,
 )
-from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import FIDELITY, POWER_RULES, REACQUIRE_BELOW
 from cogradar.shared.scenario.world_config import TargetSection
 from cogradar.shared.scoring.finite_size import finite_size
-from cogradar.shared.signal.array import in_plane, spatial_frequency, steering_vector
+from cogradar.shared.signal.array import bin_centres, in_plane, spatial_frequency, steering_vector
 from cogradar.shared.signal.looks import directions_everywhere, n_range_cells, range_cells
 from cogradar.shared.signal.monopulse import off_axis_loss
 from cogradar.shared.signal.radar_equation import snr_db
-from cogradar.shared.signal.receiver import noncentrality, threshold
+from cogradar.shared.signal.receiver import detection_probability, noncentrality, threshold
 from cogradar.shared.signal.waveform import beampattern, transmit_signatures
 from cogradar.shared.tracking.acquisition import expected_scans
+from cogradar.shared.tracking.existence import alert_p_fa
 from cogradar.shared.world.disturbance import power_spectrum
 
 # Single looks, 3 targets at 20, 40 and 80 km, dwells of 1 to 12 s, 6 runs each. Share of lost tracks: 0.02 where a
@@ -48,6 +51,8 @@ ROUNDED = 0.95  # keeps a limit that is shown with two digits below the limit
 GHOST_DB = 25.0  # over the limit; two-way sidelobes are 26 dB down
 UNSEEN = 0.1  # a target with a lower P_D is hardly ever seen
 LONG_S = 3600.0
+_LEAST_P_D = 1e-9
+_BEGINS = 64  # dwells in which a target may come, of all
 
 
 class Prospect(NamedTuple):
@@ -59,8 +64,9 @@ class Prospect(NamedTuple):
     snr_db: float  # of one virtual channel and the mean RCS, over the disturbance's mean level
     disturbance_db: float  # what the disturbance has towards this target, relative to its mean level
     array_snr_db: float  # of all of them, with all power on this target: plus 10 log10(P n_tx n_rx)
-    p_d: dict[str, float]  # of each strategy, if every track asks for its target's bin
+    p_d: dict[str, float]  # of each strategy, if every track asks for its target's bin; of an unknown number, of a look
     scans: float  # until an acquisition has found it
+    seconds: float | None = None  # until the search of an unknown number sees it, expected
 
 
 def prospects(scenario: Scenario) -> list[Prospect]:
@@ -85,7 +91,7 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     limit = threshold(radar.detector.p_fa, len(cells) * everywhere.size // array.n_bin)
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
     requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
-    for name in POWER_RULES:
+    for name in POWER_RULES if radar.search is None else ():
         sent = power_rule(name)(radar, requests)
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
         signature_power *= matched if sent.isotropic > 0.0 else 1.0
@@ -102,6 +108,9 @@ def prospects(scenario: Scenario) -> list[Prospect]:
                 for nu, u, snr, power, law in zip(nus.tolist(), signatures, snrs, signature_power, laws, strict=True)
             ]
         )
+    found = _of_search(scenario, radar.search, snrs, spectrum) if radar.search is not None else None
+    if found is not None:
+        p_d["search"] = found[0]
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
     everywhere_power = array.power * array.n_rx * matched  # ||v||^2 of the acquisition
     amplitudes = np.sqrt(0.5 * noncentrality(10.0 ** (snrs / 10.0), everywhere_power, spectrum))
@@ -115,9 +124,46 @@ def prospects(scenario: Scenario) -> list[Prospect]:
             float(snrs[m] + gain),
             {name: float(p[m]) for name, p in p_d.items()},
             expected_scans(radar, float(amplitudes[m])),
+            None if found is None else float(found[1][m]),
         )
         for m in range(len(states))
     ]
+
+
+def _of_search(
+    scenario: Scenario, search: SearchSection, snrs: NDArray[np.float64], spectrum: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """P_D of the search's looks at each target with all power, and expected seconds until one sees it; (M,) each.
+
+    The beams of two sweeps are gone through, since every second one goes between the directions of the first, and the
+    target may come in any of these dwells. P_D is that of many receive channels.
+    """
+    radar, world, array = scenario.radar, scenario.simulated, scenario.radar.array
+    nus, laws = spatial_frequency(world.measured_states()), [target.rcs or world.rcs for target in world.targets]
+    n_cell = n_range_cells(*radar.acquisition.ranges_km, radar.receiver.range_cell_km)
+    missed, near = list[NDArray[np.float64]](), list[NDArray[np.bool_]]()
+    beam = 0
+    while not missed or beam % (2 * array.n_bin):
+        found, beam = search_directions(radar, search, beam, array.power)
+        gain = array.n_tx / found.size if found.size else 1.0  # of a beam with its share of the power
+        looks = found if found.size else bin_centres(array.n_bin)
+        apart = np.abs(nus[:, np.newaxis] - looks).min(axis=1)
+        loss = (off_axis_loss(apart, array.n_tx) * off_axis_loss(apart, array.n_rx)) ** 2
+        zeta = noncentrality(10.0 ** (snrs / 10.0), array.power * array.n_rx * gain * loss, spectrum)
+        limit = threshold(alert_p_fa(looks.size), n_cell)
+        p_d = [float(detection_probability(*pair)) for pair in zip(zeta, repeat(limit), laws, strict=False)]
+        missed.append(np.minimum(1.0 - np.array(p_d), 1.0 - _LEAST_P_D))
+        near.append(apart <= (0.5 + 1e-9) / (array.n_bin - 1))
+    chances, at = np.array(missed), np.array(near)
+    seen = 1.0 - (chances * at).sum(axis=0) / np.maximum(at.sum(axis=0), 1)
+    n_dwell = len(chances)
+    begins = np.unique(np.linspace(0, n_dwell, min(n_dwell, _BEGINS), endpoint=False).astype(int))
+    # In a period all looks miss with probability q, after i dwells with q_i: sum_i q_i / (1 - q) dwells, q_0 = 1.
+    dwells = [
+        np.vstack((np.ones(len(nus)), np.cumprod(np.roll(chances, -begin, axis=0), axis=0)[:-1])).sum(axis=0)
+        for begin in begins.tolist()
+    ]
+    return seen, radar.motion.dt_s * np.mean(dwells, axis=0) / (1.0 - np.prod(chances, axis=0))
 
 
 def warnings(scenario: Scenario, expected: Sequence[Prospect]) -> list[str]:
@@ -216,7 +262,13 @@ def _of_target(scenario: Scenario, prospect: Prospect, target: TargetSection) ->
     if scenario.simulated.signal == "array" and radar.receiver.separation == "none":
         found += _of_sidelobes(radar, prospect)
     name, best = max(prospect.p_d.items(), key=lambda item: item[1])
-    if best < UNSEEN:
+    there_s = min(target.last_s, end_s) - target.first_s
+    if prospect.seconds is not None and prospect.seconds > max(there_s, 0.0):
+        found.append(
+            f"is probably never seen: the search with all power takes some {prospect.seconds:.2g} s to see it (P_D of a"
+            f" look {best:.2g}), and it is there for {max(there_s, 0.0):.4g} s"
+        )
+    elif prospect.seconds is None and best < UNSEEN:
         found.append(f"cannot be detected: P_D {best:.2g} at the start with the best strategy ({name})")
     return found
 
@@ -285,7 +337,7 @@ def _of_field_of_view(radar: RadarConfig) -> list[str]:
 
 def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
     most = scenario.radar.acquisition.max_scans
-    if prospect.scans <= most:
+    if scenario.radar.search is not None or prospect.scans <= most:
         return []
     scans = f"some {prospect.scans:.2g}" if prospect.scans < inf else "more than any number of"
     return [

@@ -1,7 +1,10 @@
 """Files with anything wrong in them: a line that says so, exit code 2, and the file as it was."""
 
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -226,3 +229,34 @@ def test_a_recorder_goes_on_with_a_damaged_journal_or_refuses_it(
         recorder.close()
     except Failure as error:
         _said(error)
+
+
+def test_a_value_that_the_world_takes_over_is_blamed_where_it_stands(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text('extends = "paper"\n[radar.echo]\namplitude_db = "72 dB"\n')
+    with pytest.raises(ScenarioError) as caught:
+        load(str(tmp_path / "s.toml"))
+    (fault,) = caught.value.faults
+    assert fault.endswith(
+        "s.toml: radar.echo.amplitude_db = '72 dB': must be a number >= -100 and <= 200; write 72,"
+        " without quotes and unit"
+    )
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is full")
+def test_output_that_cannot_be_written_is_no_traceback(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "cogradar", "scenarios", "--json"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    said = "standard output: No space left on device: the output is not complete\n"
+    assert (done.returncode, done.stderr) == (1, said)
+    (tmp_path / "dtü.toml").write_text('extends = "smoke"\n')
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "cogradar", "scenarios", "--show", str(tmp_path / "dtü.toml"), "--set", "title=ü"]
+    done = subprocess.run(command, capture_output=True, text=True, env=ascii_only, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 'title = "\\xfc"' in done.stdout.replace("  ", " ")

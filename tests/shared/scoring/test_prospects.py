@@ -1,10 +1,17 @@
 """What is said of a scenario before it is played."""
 
+import numpy as np
 import pytest
 
+from cogradar.shared.power.search import search_directions
 from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.prospects import prospects, warnings
+from cogradar.shared.signal.array import spatial_frequency, steering_vector
+from cogradar.shared.signal.looks import n_range_cells
+from cogradar.shared.signal.receiver import detection_probability, threshold
+from cogradar.shared.signal.waveform import beam_factor, beampattern
+from cogradar.shared.tracking.existence import alert_p_fa
 
 GAUSSIAN = ["radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.belief.filter=gaussian"]
 
@@ -194,3 +201,41 @@ def test_p_d_is_that_of_the_estimate_of_the_noise() -> None:
     ]
     lags, rows, range_cells = by_noise
     assert 0.9 > lags > range_cells > rows > 0.1  # 16 transmit channels are few clusters
+
+
+@pytest.mark.parametrize("search", ["radar.search.beams=8", "radar.search.beams=auto"])
+def test_an_unknown_sky_has_the_seconds_until_a_target_is_seen(search: str) -> None:
+    """Against sweeps that are played: looks meet or miss the target as often as their P_D says."""
+    scenario = load("traffic", [search, "world.echo.amplitude_db=71"])
+    radar, seen = scenario.radar, prospects(scenario)[1]
+    assert list(seen.p_d) == ["search"]
+    assert radar.search is not None
+    array, limits = radar.array, dict[int, float]()
+    nu = float(spatial_frequency(scenario.simulated.measured_states())[1])
+    n_cell = n_range_cells(*radar.acquisition.ranges_km, radar.receiver.range_cell_km)
+    alpha = 10.0 ** (seen.snr_db / 20.0)
+    level = 10.0 ** (seen.disturbance_db / 10.0)
+    rng, waited = np.random.default_rng(1), list[int]()
+    beam, n_dwell = 0, 0
+    for _ in range(8_000):
+        n_dwell += 1
+        nus, beam = search_directions(radar, radar.search, beam, array.power)
+        factor = beam_factor(nus, np.full(nus.size, array.power / nus.size), array.n_tx)
+        look = nus[np.abs(nus - nu).argmin()]
+        # The signature of the target against that of the look which is nearest to it.
+        power = beampattern(0.0, factor[:, [int(np.abs(nus - nu).argmin())]], np.array([nu]))[0] * array.n_rx
+        off = abs(steering_vector(look, array.n_rx).conj() @ steering_vector(nu, array.n_rx) / array.n_rx) ** 2
+        zeta = 2.0 * alpha**2 * power * off / level
+        limit = limits.setdefault(nus.size, threshold(alert_p_fa(nus.size), n_cell))
+        if rng.uniform() < detection_probability(zeta, limit):
+            waited.append(n_dwell)
+            n_dwell, beam = 0, int(rng.integers(10_000))  # another target comes
+    assert seen.seconds == pytest.approx(radar.motion.dt_s * np.mean(waited), rel=4.0 / np.sqrt(len(waited)))
+    assert 0.05 < seen.p_d["search"] < 1.0
+
+
+def test_an_unknown_sky_is_not_told_of_an_acquisition() -> None:
+    far = ["radar.echo.amplitude_db=30", "world.echo.amplitude_db=30"]
+    found = _warnings(load("traffic", far))
+    assert any("is probably never seen: the search with all power takes some " in text for text in found)
+    assert not any("acquired" in text or "best strategy" in text for text in found)
