@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
@@ -18,6 +19,7 @@ from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.topics import Role, topics_read_by
+from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, serve
@@ -29,6 +31,16 @@ HOLDER_POLL_S = 0.1
 SETTLE_S = 0.5  # until a claim that was made a little earlier is seen, too
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
+
+
+class _Printable(logging.Formatter):
+    """What others sent and a line of the log quotes holds no control characters, and begins no line of its own."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line of a record, and below it where an error came from."""
+        said = copy(record)
+        said.msg, said.args = printable(record.getMessage()), None
+        return printable_lines(super().format(said))
 
 
 @runtime_checkable
@@ -44,8 +56,9 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
     Raises BadInput; so it does if the certificate is another role's.
     """
     start = replace(start, name=process_name(role, start.name, listen if role is Role.ROUTER else connect))
-    line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
-    logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Printable(f"%(asctime)s {start.name} %(levelname)s %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     if role is Role.ROUTER:
         from cogradar.services.certs import access, names
         from cogradar.shared.wire.exposition import Exposition

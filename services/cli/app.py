@@ -38,6 +38,7 @@ from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.protocol.slots import fault_of_name
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.document import read
+from cogradar.shared.scenario.faults import printable_lines
 from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
 from cogradar.shared.scenario.limits import UNLIMITED, said_dwells
 from cogradar.shared.scenario.scenario import Scenario
@@ -208,7 +209,7 @@ def scenarios(
     if show and as_json:
         print_json(shown.model_dump(mode="json"))
     elif show:
-        sys.stdout.write(written(shown, read(show).files))
+        sys.stdout.write(printable_lines(written(shown, read(show).files)))
     else:
         found = {name: load(name).title for name in built_in()}
         if as_json:

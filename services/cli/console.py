@@ -24,7 +24,7 @@ from rich.text import Text
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
-from cogradar.shared.scenario.faults import allowed, printable
+from cogradar.shared.scenario.faults import allowed, printable, printable_lines
 from cogradar.shared.scenario.files import ScenarioError
 from cogradar.shared.scenario.limits import MAX_DWELLS, NO_END, UNLIMITED
 from cogradar.shared.scenario.radar_config import Strategy
@@ -35,8 +35,25 @@ _UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
 # A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
-out = Console(markup=False, emoji=False, highlight=False)
-err = Console(markup=False, emoji=False, highlight=False, stderr=True)
+
+
+class _Printable(Console):
+    """Prints text that others have written: names, reasons, paths, lines of files. It holds no control characters."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print, as `rich.console.Console` has it."""
+        super().print(*(_shown(one) for one in objects), **options)
+
+
+def _shown(text: Any) -> Any:
+    if isinstance(text, Text):
+        text = text.copy()
+        text.plain = printable_lines(text.plain)
+    return printable_lines(text) if isinstance(text, str) else text
+
+
+out = _Printable(markup=False, emoji=False, highlight=False)
+err = _Printable(markup=False, emoji=False, highlight=False, stderr=True)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
@@ -270,7 +287,7 @@ def progress(console: Console) -> Iterator[Callable[[str], None]]:
     """Show what goes on: at one place of a terminal, elsewhere by lines."""
     if console.is_terminal:
         with console.status("") as status:
-            yield status.update
+            yield lambda text: status.update(printable_lines(text))
     else:
         yield Lines()
 
@@ -323,7 +340,7 @@ def print_csv(rows: Sequence[dict[str, Any]]) -> None:
     if rows:
         writer = csv.DictWriter(sys.stdout, rows[0].keys(), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({key: _shown(value) for key, value in row.items()} for row in rows)
 
 
 class Pace(StrEnum):

@@ -174,6 +174,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
+def printable_lines(text: str) -> str:
+    """The same of several lines: what others said may hold what moves a terminal's cursor or renames its window."""
+    return "\n".join("\t".join(map(printable, line.split("\t"))) for line in text.split("\n"))
+
+
 def _key(loc: Loc) -> str:
     """`array.n_tx`; `targets #2, state`: entries of a list count from 1."""
     key = ""
