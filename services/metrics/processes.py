@@ -14,6 +14,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
+from prometheus_client.samples import Sample
 
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.fields import PROCESS_NAME
@@ -95,7 +96,7 @@ def read(text: bytes) -> list[Metric]:
         if (own := known.get(family.name)) is None or own.type != family.type:
             continue
         metric, label = Metric(own.name, own.documentation, own.type), _label_of(own.name)
-        samples = {}  # a label that is not ours could make two of one
+        samples: dict[object, Sample] = {}  # a label that is not ours could make two of one
         for sample in family.samples:
             labels = {name: value for name, value in sample.labels.items() if name in {label, "le"}}
             samples.setdefault((sample.name, *sorted(labels.items())), sample._replace(labels=labels, exemplar=None))

@@ -11,7 +11,7 @@ import pytest
 from starlette.types import ASGIApp
 
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.metrics.processes import Gathered
+from cogradar.services.metrics.processes import Gathered, read
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.web.address import listen, url
@@ -75,7 +75,7 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
 def core(journal: Path) -> Iterator[MetricsCore]:
     core = MetricsCore(str(journal))
     text = Exposition(core.measures).text  # of this process alone: there is no router
-    core.gather = lambda: Gathered({(Role.METRICS, "metrics-0"): text()}, {(Role.PLANNER, "")})
+    core.gather = lambda: Gathered({(Role.METRICS, "metrics-0"): read(text())}, {(Role.PLANNER, "")})
     core.handle(Tick(time.monotonic()))
     yield core
     core.close()

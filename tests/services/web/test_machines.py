@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.metrics.processes import Gathered
+from cogradar.services.metrics.processes import Gathered, read
 from cogradar.services.planner.ownership import owners
 from cogradar.services.web.app import create
 from cogradar.services.web.views.processes import Machines, quantile
@@ -56,7 +56,7 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     monkeypatch.setattr(
         core,
         "gather",
-        lambda: Gathered({process: Exposition(one.measures).text() for process, one in alive.items()}, set()),
+        lambda: Gathered({process: read(Exposition(one.measures).text()) for process, one in alive.items()}, set()),
     )
     machines = Machines(core)
     planner.work(500, 2.0)

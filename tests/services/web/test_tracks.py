@@ -137,7 +137,7 @@ def test_the_timeline_has_the_targets_that_nobody_follows(store: MetricsCore) ->
 
 
 def test_each_track_that_is_there_has_an_owner(store: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "gather", lambda: Gathered({(Role.PLANNER, name): b"" for name in "ab"}, set()))
+    monkeypatch.setattr(store, "gather", lambda: Gathered({(Role.PLANNER, name): [] for name in "ab"}, set()))
     found = json.loads(Machines(store)._read())["owners"]
     assert found == {"begun": {str(track + 1): owner_of("begun", track, "ab") for track in (0, 2)}}
 
