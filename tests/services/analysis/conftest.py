@@ -39,6 +39,7 @@ def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: An
         "status": "complete",
         "reason": "",
         "digest": "0",
+        "began_s": 0,
     } | other
     named = [score | {"run": run["run"]} for score in scores]
     return Recording(run, named, made_picture(str(run["run"]), seed), [])
