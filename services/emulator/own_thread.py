@@ -7,13 +7,14 @@ closed in its own thread if its call ever returns. In lockstep nothing is late: 
 import queue
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
-FIRST_S = 30.0  # for the first call after opening, which may have to load much
+FIRST_S = 30.0  # for calls up to the first dwell after opening, which may have to load much
 MOST_LEFT = 8  # threads that hang, after which no further front end is opened
 Answers = queue.SimpleQueue[tuple[Any, Exception | None]]
 
@@ -31,7 +32,8 @@ class OpensInOwnThread:
         pacing = pacing_at(settings.rate_hz)
         if not pacing.has_deadlines:
             return self._make(settings)
-        self._left = [thread for thread in self._left if thread.is_alive()]
+        # Front ends that are open note their threads in this list.
+        self._left[:] = [thread for thread in self._left if thread.is_alive()]
         if len(self._left) >= MOST_LEFT:
             raise FrontEndError(f"{len(self._left)} front ends that were opened before hang: restart the emulator")
         return InOwnThread(self._make, settings, pacing.silence_s, self._left)
@@ -60,13 +62,17 @@ class InOwnThread:
             raise
         for name in ("truth", "prepare"):  # which a front end may have
             if (method := getattr(self._front_end, name, None)) is not None:
-                vars(self)[name] = lambda name=name, method=method: self._call(name, method, self._deadline_s)
+                vars(self)[name] = partial(self._within, name, method)
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
         """Transmit dwell k and measure. Raises FrontEndError if it takes too long."""
-        deadline_s, self._first_s = max(self._deadline_s, self._first_s), 0.0
-        scan: ScanData | None = self._call("transmit", lambda: self._front_end.transmit(k, t, waveform), deadline_s)
+        scan: ScanData | None = self._within("transmit", self._front_end.transmit, k, t, waveform)
+        self._first_s = 0.0
         return scan
+
+    def _within(self, name: str, method: Callable[..., Any], *given: Any) -> Any:
+        """What a method of it returns. Until it has transmitted, it may have to load much."""
+        return self._call(name, lambda: method(*given), max(self._deadline_s, self._first_s))
 
     def close(self) -> None:
         """Switch it off; one that hangs as soon as it does so no longer."""

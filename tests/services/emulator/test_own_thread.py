@@ -1,14 +1,16 @@
 """A front end that hangs is left behind: the emulator goes on with another one."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from cogradar.services.delivery.pacing import RealTime, pacing_at
 from cogradar.services.emulator.cycle import transmission
-from cogradar.services.emulator.front_end import FrontEndError, ScanData, Settings, Transmission
+from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
 from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.services.emulator.own_thread import MOST_LEFT, InOwnThread, OpensInOwnThread
 from tests.services.loop import SMOKE, checkpoint, smoke_start
@@ -90,12 +92,39 @@ def test_what_it_raises_is_raised_and_what_it_lacks_is_lacking(device: Device) -
     front_end.close()
 
 
+class Knowing(FrontEnd):
+    """It also knows where the targets are, and prepares dwells."""
+
+    def truth(self, t: int) -> GroundTruth:
+        return GroundTruth(np.full((1, 4), t), np.zeros(1, np.int32), np.zeros(1))
+
+    def prepare(self) -> bool:
+        time.sleep(0.2)  # it loads much
+        return True
+
+
+def test_what_it_may_have_besides_is_called_with_what_it_needs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RealTime, "silence_s", 0.1)
+    start = checkpoint(smoke_start().model_copy(update={"rate_hz": RATE_HZ}))
+    kept = KeptOpen(OpensInOwnThread(lambda _settings: Knowing(device)), start, pacing_at(RATE_HZ), Counts())
+    assert kept.prepare()
+    assert not kept.fault
+    kept.transmit(0, (0, 0), ASKED, 0.0)
+    truth = kept.truth(3)
+    assert truth is not None
+    assert truth.states[0, 0] == 3.0
+    assert not kept.prepare()
+    assert kept.fault == "prepare did not return within 0.1 s"
+    kept.close()
+
+
 @pytest.mark.usefixtures("hasty")
 def test_only_so_many_may_hang_at_once(device: Device) -> None:
     opens = OpensInOwnThread(device.open)
     start = checkpoint(smoke_start().model_copy(update={"rate_hz": RATE_HZ}))
-    for _ in range(MOST_LEFT):
+    runs = [opens(start) for _ in range(MOST_LEFT)]  # some are open already when another one hangs
+    for front_end in runs:
         with pytest.raises(FrontEndError, match="did not return"):
-            opens(start).transmit(1, 0, ASKED)
+            front_end.transmit(1, 0, ASKED)
     with pytest.raises(FrontEndError, match=f"{MOST_LEFT} front ends .* hang"):
         opens(start)
