@@ -28,7 +28,7 @@ from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
 HOLDER_POLL_S = 0.1
-SETTLE_S = 0.5  # until a claim that was made a little earlier is seen, too
+SETTLE_S = 0.1  # until a claim that is shown at another router is seen, too
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
@@ -132,20 +132,24 @@ def _check_others(service: Service, start: Start, session: Session, check: Calla
 def _claimed(role: Role, name: str, session: Session, check: Callable[[], None]) -> Claim:
     """The claim to a role, with no rival left. A process that was killed seems alive for its lease. Raises BadInput.
 
-    Of processes that start at once each shows its claim and then looks, until a claim that was made a little earlier
-    would be seen: one is left.
+    Each looks before it shows its claim, too: one that is shown already is not asked to withdraw. Of several that show
+    theirs at once all but the earliest withdraw, and the earliest is there once it sees no other.
     """
-    claim, begun = Claim(session, role, name), time.monotonic()
+    claim, begun, shown = Claim(session, role, name), time.monotonic(), 0.0
     try:
         while True:
-            is_settled = time.monotonic() >= begun + SETTLE_S
-            rivals = claim.rivals()
-            if is_settled and not rivals:
+            rivals, is_later = claim.rivals()
+            if not rivals and claim.is_shown and time.monotonic() >= shown + SETTLE_S:
                 return claim
+            if not rivals and not claim.is_shown:
+                claim.show()
+                shown = time.monotonic()
+            elif is_later:
+                claim.drop()
             check()
             if rivals and time.monotonic() > begun + HOLDER_WITHIN_S:
                 raise BadInput(f"another {role} is there already: {', '.join(rivals)}; stop it first")
-            time.sleep(HOLDER_POLL_S)
+            time.sleep(min(HOLDER_POLL_S, SETTLE_S) if claim.is_shown else HOLDER_POLL_S)
     except BaseException:
         claim.drop()
         raise

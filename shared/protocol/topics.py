@@ -114,7 +114,7 @@ BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
-# Liveliness token of a process that wants to be the only one of its role: the lowest moment, in text, may be.
+# Liveliness token of a process that wants to be the only one of its role: of several the lowest moment, in text, stays.
 CLAIM = "cogradar/claim/{protocol}/{role}/{moment}/{name}"
 QUERY = f"{_ROOT}/query/{{metric}}"  # queryable of the metrics service
 TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"  # queryable of every process: when it received and sent what

@@ -98,29 +98,44 @@ def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:
 
 
 class Claim:
-    """Of a process that wants to be the only one of its role: shown before it looks for others, until it is dropped.
+    """Of a process that wants to be the only one of its role: shown until it is dropped.
 
-    So of two that start at once the one that looks later sees both. Of all claims the earliest wins.
+    Whoever shows one, and then sees no other, is alone: another one that shows its own later sees this one. So clocks
+    decide nothing but which of several that see each other withdraws.
     """
 
     def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
-        """Show it."""
-        self._session, self._role = session, role
+        """It is not shown yet."""
+        self._session, self._role, self._name = session, role, name
         self._moment = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
-        key = CLAIM.format(protocol=PROTOCOL, role=role, moment=self._moment, name=name)
-        self._token = session.liveliness().declare_token(key)
+        self._token: zenoh.LivelinessToken | None = None
 
-    def rivals(self) -> list[str]:
-        """Names of the processes of this role that are there, of any build, or whose claim is earlier."""
+    @property
+    def is_shown(self) -> bool:
+        """Whether others see it."""
+        return self._token is not None
+
+    def show(self) -> None:
+        """Show it to others, before they are looked for."""
+        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment=self._moment, name=self._name)
+        self._token = self._session.liveliness().declare_token(key)
+
+    def rivals(self) -> tuple[list[str], bool]:
+        """Names of the processes of this role that are there, of any build, or show a claim; and whether one of these
+        claims is earlier.
+        """
         key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
         replies = self._session.liveliness().get(key, timeout=1.0)
         keys = [str(reply.ok.key_expr).split("/")[-2:] for reply in replies if reply.ok is not None]
-        earlier = {name for moment, name in keys if moment < self._moment}
-        return sorted({*names_alive(self._session, "*", self._role), *earlier})
+        claims = {moment: name for moment, name in keys if moment != self._moment}
+        there = {*names_alive(self._session, "*", self._role), *claims.values()}
+        return sorted(there), min(claims, default=self._moment) < self._moment
 
     def drop(self) -> None:
         """Leave the role to others."""
-        self._token.undeclare()
+        if self._token is not None:
+            self._token.undeclare()
+            self._token = None
 
 
 def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:

@@ -66,7 +66,7 @@ def test_a_second_one_is_refused_and_told_who_is_there(
 
 def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.6)
-    monkeypatch.setattr(process, "SETTLE_S", 0.2)
+    monkeypatch.setattr(process, "SETTLE_S", 0.0)  # there is one router
     names, ready, looked = ("a", "b", "c"), Barrier(3), Barrier(3)
 
     def start(name: str) -> str:
@@ -93,6 +93,21 @@ def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytes
         assert all(winner in text.partition("another recorder is there already: ")[2] for text in said if text)
         while _is_seen(router):
             time.sleep(0.01)
+
+
+def test_a_clock_that_is_behind_takes_no_role(router: str, session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one that was first has its claim, and does not show itself alive yet."""
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.5)
+    claim = process._check_others(SERVICES[Role.ALLOCATOR], Start("first"), session, lambda: None)
+    monkeypatch.setattr(time, "time_ns", lambda: 0)
+    with (
+        open_session([router], 10.0, lambda: None) as other,
+        pytest.raises(BadInput, match=r"^another allocator is there already: first; stop"),
+    ):
+        _enter(Role.ALLOCATOR, other)
+    assert claim is not None
+    claim.drop()
+    _enter(Role.ALLOCATOR, session)
 
 
 def _is_seen(router: str) -> bool:

@@ -106,9 +106,10 @@ class Knowing(FrontEnd):
 def test_what_it_may_have_besides_is_called_with_what_it_needs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RealTime, "silence_s", 0.1)
     start = checkpoint(smoke_start().model_copy(update={"rate_hz": RATE_HZ}))
-    kept = KeptOpen(OpensInOwnThread(lambda _settings: Knowing(device)), start, pacing_at(RATE_HZ), Counts())
+    counts = Counts()
+    kept = KeptOpen(OpensInOwnThread(lambda _settings: Knowing(device)), start, pacing_at(RATE_HZ), counts)
     assert kept.prepare()
-    assert not kept.fault
+    assert counts.failures == 0
     kept.transmit(0, (0, 0), ASKED, 0.0)
     truth = kept.truth(3)
     assert truth is not None
