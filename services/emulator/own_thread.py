@@ -15,6 +15,7 @@ from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanDa
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 FIRST_S = 30.0  # for calls up to the first dwell after opening, which may have to load much
+CLOSE_S = 10.0  # at least, to switch it off: at the end of the process nobody does so any more
 MOST_LEFT = 8  # threads that hang, after which no further front end is opened
 Answers = queue.SimpleQueue[tuple[Any, Exception | None]]
 
@@ -78,7 +79,7 @@ class InOwnThread:
         """Switch it off; one that hangs as soon as it does so no longer."""
         is_left = self._thread in self._left
         try:
-            self._call("close", self._front_end.close, 0.0 if is_left else self._deadline_s)
+            self._call("close", self._front_end.close, 0.0 if is_left else max(self._deadline_s, CLOSE_S))
         except FrontEndError:
             if not is_left:
                 raise

@@ -92,6 +92,19 @@ def test_what_it_raises_is_raised_and_what_it_lacks_is_lacking(device: Device) -
     front_end.close()
 
 
+class Slow(FrontEnd):
+    def close(self) -> None:
+        time.sleep(0.3)
+        super().close()
+
+
+@pytest.mark.usefixtures("hasty")
+def test_one_that_is_switched_off_slowly_is_waited_for(device: Device) -> None:
+    settings = Settings.of(checkpoint(smoke_start()))
+    InOwnThread(lambda _settings: Slow(device), settings, 0.1, []).close()
+    assert device.is_closed.is_set()
+
+
 class Knowing(FrontEnd):
     """It also knows where the targets are, and prepares dwells."""
 
