@@ -222,7 +222,7 @@ def _wider(course: Course) -> Floats:
 def _one_clock(course: Course, tally: Tally) -> Course:
     """The course without the rows of a second clock: those that are seconds ahead of, or behind, the others' course.
 
-    Where feeds with different clocks were merged, an aircraft jumps to and fro along its course.
+    Where feeds with different clocks were merged, an aircraft jumps back and forth along its course.
     """
     if len(course.t) < CLOCK_ROWS:
         return course
