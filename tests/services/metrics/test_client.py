@@ -93,7 +93,7 @@ def test_no_router_is_no_metrics_service(monkeypatch: pytest.MonkeyPatch) -> Non
         ):
             with pytest.raises(NoMetrics) as caught:
                 ask_service(endpoint, "p_d", {})
-            assert str(caught.value) == f"no metrics service: {words}"
+            assert str(caught.value) == f"no metrics service: {words}{asking.CURE}"
 
 
 def test_a_router_that_cannot_listen_says_what_the_system_says() -> None:
