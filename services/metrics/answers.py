@@ -31,7 +31,8 @@ Rows = list[dict[str, Any]]
 _CLOCKS = (
     "strftime('%Y-%m-%dT%H:%M:%SZ', began_s, 'unixepoch') AS began,"
     " strftime('%Y-%m-%dT%H:%M:%SZ', ended_s, 'unixepoch') AS ended,"
-    " acknowledged_t * json_extract(document, '$.radar.motion.dt_s') AS length_s"
+    " CASE WHEN json_valid(document) THEN acknowledged_t * json_extract(document, '$.radar.motion.dt_s') END"
+    " AS length_s"
 )
 # What a run that is held waits for.
 NO_ROOM = "the journal: its disk is full, or its file was removed, replaced or made read-only"

@@ -99,10 +99,20 @@ def read(text: bytes) -> list[Metric]:
         samples: dict[object, Sample] = {}  # a label that is not ours could make two of one
         for sample in family.samples:
             labels = {name: value for name, value in sample.labels.items() if name in {label, "le"}}
+            if sample.name.endswith("_bucket") and not _is_edge(labels.get("le", "")):
+                continue
             samples.setdefault((sample.name, *sorted(labels.items())), sample._replace(labels=labels, exemplar=None))
         metric.samples = [sample._replace(timestamp=None) for sample in samples.values()]
         found.append(metric)
     return found
+
+
+def _is_edge(text: str) -> bool:
+    """Whether this is an upper edge of a histogram's bucket: a time."""
+    try:
+        return float(text) > 0.0
+    except ValueError:
+        return False
 
 
 def _label_of(family: str) -> str:

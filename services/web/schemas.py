@@ -36,7 +36,7 @@ class RunRow(Document):
     oldest_t: int = Field(description="The oldest dwell that is kept of a run without an end; else 1.")
     began: str = Field(description="When the recorder had its start, in UTC.")
     ended: str | None = Field(description="When it ended, in UTC.")
-    length_s: float = Field(description="So far, after the acquisition, by the clock of the run.")
+    length_s: float | None = Field(description="So far, after the acquisition, by its clock; null: it cannot be read.")
     k: int | None
     waiting_for: str
 

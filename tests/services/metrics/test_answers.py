@@ -172,13 +172,14 @@ def test_without_truth_what_needs_it_is_unknown(sent: list[Message]) -> None:
     assert all(row["x_hat"] is not None and row["detected"] in {0, 1} for row in tracks)
 
 
-def test_a_run_that_cannot_be_read_is_named_with_the_reason(sent: list[Message]) -> None:
+@pytest.mark.parametrize("document", ["[]", "{bad"])
+def test_a_run_that_cannot_be_read_is_named_with_the_reason(sent: list[Message], document: str) -> None:
     store = _recorded(sent)
-    store.journal.write("UPDATE run SET document = '[]', status = 'quarantined', reason = 'why'")
+    store.journal.write("UPDATE run SET document = ?, status = 'quarantined', reason = 'why'", document)
     with pytest.raises(BadInput, match="run = 'r': cannot be read: "):
         answer(store, "p_d", {})
     (run,) = answer(store, "runs", {})
-    assert (run["status"], run["reason"]) == ("quarantined", "why")
+    assert (run["status"], run["reason"], run["length_s"]) == ("quarantined", "why", None)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from cogradar.services.metrics.processes import MAX_BYTES, Gathered, _read, counts, page, read
+from cogradar.services.web.views.processes import quantile
 from cogradar.shared.wire.exposition import Exposition
 
 GOOD = Exposition(lambda: {"messages_sent": {"scan": 3}, "journal_full": 0}).text()
@@ -62,6 +63,16 @@ node_load1 3
 def test_a_type_of_ours_is_not_changed() -> None:
     text, _ = _page((ME, b"# TYPE cogradar_journal_full counter\ncogradar_journal_full_total 1\n"), (OTHER, GOOD))
     assert "# TYPE cogradar_journal_full gauge" in text
+
+
+def test_buckets_without_an_edge_are_left_out() -> None:
+    """A percentile of them would fail, and with it the page of all processes."""
+    edges = ("x", "", "nan", "-2", "0", "1e-400", "0.5", "+Inf")
+    name = "cogradar_dwell_seconds"
+    lines = [f"# TYPE {name} histogram", *(f'{name}_bucket{{le="{edge}"}} 3' for edge in edges), f"{name}_bucket 3"]
+    found = counts(read("\n".join(lines).encode()))
+    assert {edge for _, _, edge in found} == {"0.5", "+Inf"}
+    assert quantile([(float(edge), n) for (_, _, edge), n in sorted(found.items(), reverse=True)], 0.5) is not None
 
 
 def test_answers_on_keys_of_no_process_are_left_out() -> None:
