@@ -35,6 +35,7 @@ from cogradar.shared.signal.array import bin_centres
 # Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a pause or its end and for a limit that
 # are to take effect at once, and for whatever is to take effect at once.
 FOR_END, FOR_PAUSES, FOR_LIMITS, FOR_NOW = 1, 16, 15, 8
+URGENT_COMMANDS = 500  # of all that a run may ever have, for pauses, their ends and limits
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,20 @@ def _is_replaced(pending: Order, new: Order) -> bool:
             return pending.k == new.k and isinstance(other, SectorSearch) and new.action.contains(other)
         case _:
             return False
+
+
+def commands_kept_free(command: Command) -> int:
+    """How many of the commands that a run may ever have must be left for what is more urgent than this one.
+
+    An end that is asked for at once is granted once; there is no later one.
+    """
+    match command.action:
+        case EndRun() if command.at == 0:
+            return 0
+        case Pause() | Resume() | PowerLimit():
+            return FOR_END
+        case _:
+            return FOR_END + URGENT_COMMANDS
 
 
 def _kept_free(new: Order, *, is_now: bool) -> int:

@@ -99,17 +99,18 @@ def command(store: Store, parameters: Mapping[str, str]) -> list[Run]:
 def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     """Why no command can be given to a run: `fault`, missing, ended, full or held, and `reason`; no row if one can.
 
-    Parameters: run.
+    Parameters: run; kept, how many commands must be left for more urgent ones (`order_book.commands_kept_free`).
     """
-    name = parameters.get("run", "")
+    name, kept = parameters.get("run", ""), number(parameters, "kept", 0) or 0
     query = "SELECT status, (SELECT COUNT(*) FROM command WHERE command.run = run.run) AS n FROM run WHERE run = ?"
     rows = store.read(query, [name])
     if not rows:
         return [{"fault": "missing", "reason": f"run = {name!r}: no such run"}]
     if (status := rows[0]["status"]) != "running":
         return [{"fault": "ended", "reason": f"run = {name!r}: has ended already ({status})"}]
-    if rows[0]["n"] >= MAX_COMMANDS:
-        return [{"fault": "full", "reason": f"run = {name!r}: has {MAX_COMMANDS} commands, which is all it can have"}]
+    if (n := rows[0]["n"]) >= MAX_COMMANDS - kept:
+        others = f"; {MAX_COMMANDS - n} more are kept for what is more urgent" if n < MAX_COMMANDS else ""
+        return [{"fault": "full", "reason": f"run = {name!r}: has {n} commands, which is all it can have{others}"}]
     if name in store.held:
         return [{"fault": "held", "reason": f"run = {name!r}: is held, the recorder cannot write its journal"}]
     return []

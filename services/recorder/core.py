@@ -8,6 +8,7 @@ import logging
 from collections.abc import Sequence
 
 from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, commands_kept_free
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import BY_USER
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
@@ -174,13 +175,15 @@ class RecorderCore:
         last, count, is_known = self._journal.commands(command.run, command.id)
         if is_known:
             return ()
-        if count >= MAX_COMMANDS:
+        if count >= MAX_COMMANDS - commands_kept_free(command):
             raise Refused(f"{count} commands of this run are in the journal, which is all there can be")
         answers: list[Message] = [*self._commit()]
         try:
             order, replaced = run.grant(command, last + 1)
         except Refused as refusal:
             log.warning("%s: %s, by %s, is refused: %s", command.run, command.action.kind, command.by, refusal)
+            if count >= MAX_COMMANDS - FOR_END - URGENT_COMMANDS:
+                raise  # what is kept free is for what is granted
             self._journal.add_command(command, last + 1, None, str(refusal))
             self._journal.commit()
             return answers

@@ -26,7 +26,7 @@ from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 SCHEMA_VERSION = 17
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
-MAX_COMMANDS = 10_000  # of a run
+MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
 MEMORY = ":memory:"
 ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
 MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 MiB

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from cogradar.services.certs import own
+from cogradar.services.delivery.order_book import commands_kept_free
 from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
 from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S
@@ -40,8 +41,8 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
         raise NoMetrics(f"no metrics service: {error}") from None
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
-        _check(session, run)
         command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
+        _check(session, command)
         row = _confirmed(session, lambda: bus.publish(command), command)
     except NoAnswer:
         raise NoMetrics(f"no metrics service answers at {endpoint}") from None
@@ -52,9 +53,10 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
     return row
 
 
-def _check(session: Session, run: str) -> None:
+def _check(session: Session, command: Command) -> None:
     """Raises BadInput if a run cannot be commanded, NoAnswer."""
-    for row in json.loads(ask(session, "refusal", {"run": run}, ANSWER_WITHIN_S)):
+    asked = {"run": command.run, "kept": str(commands_kept_free(command))}
+    for row in json.loads(ask(session, "refusal", asked, ANSWER_WITHIN_S)):
         raise BadInput(row["reason"])
 
 
@@ -70,7 +72,7 @@ def _confirmed(session: Session, send: Callable[[], None], command: Command) -> 
             continue
         if rows:
             return rows[0]
-    _check(session, command.run)
+    _check(session, command)
     raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
 
 

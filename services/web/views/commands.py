@@ -11,6 +11,7 @@ from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from cogradar.services.delivery.order_book import commands_kept_free
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.web.address import COMMAND_VARIABLE, Admitted
@@ -49,15 +50,15 @@ async def _command(request: Request) -> Response:
         action = parsed(told.split()) if isinstance(told, str) else action_of(told)
     except ValueError as error:
         raise bad(str(error)) from None
-    await run_sync(_check, core, run)
     asked = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
+    await run_sync(_check, core, asked)
     if not core.command(asked):
         detail = "too many commands wait for the recorder; this one was not sent"
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, detail, {"Retry-After": "1"})
     until = time.monotonic() + WITHIN_S
     while (row := await run_sync(_row, core, asked)) is None:
         if time.monotonic() > until:
-            await run_sync(_check, core, run)
+            await run_sync(_check, core, asked)
             detail = f"no recorder confirmed it within {WITHIN_S:.0f} s: it may still be granted; GET this address says"
             raise Problem(HTTPStatus.GATEWAY_TIMEOUT, detail)
         await asyncio.sleep(POLL_S)
@@ -104,9 +105,9 @@ async def _document(request: Request) -> dict[str, Any]:
     return document
 
 
-def _check(core: MetricsCore, run: str) -> None:
+def _check(core: MetricsCore, asked: Command) -> None:
     """Raises Problem if the run cannot be commanded."""
-    for row in answer(core.store, "refusal", {"run": run}):
+    for row in answer(core.store, "refusal", {"run": asked.run, "kept": str(commands_kept_free(asked))}):
         status = _STATUS[row["fault"]]
         raise Problem(status, row["reason"], {"Retry-After": "1"} if row["fault"] == "held" else None)
 

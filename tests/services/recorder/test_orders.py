@@ -1,11 +1,15 @@
 """Commands at the recorder: what is granted, from when on, what is refused, and what its checkpoints say of it."""
 
+import json
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import pytest
 
 from cogradar.services.delivery import pacing
+from cogradar.services.delivery.order_book import URGENT_COMMANDS
+from cogradar.services.errors import NoRoom
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
@@ -245,12 +249,30 @@ def test_what_makes_no_sense_is_refused_and_the_journal_says_why(
     assert {said for _, said in granted} <= {""}
 
 
+def test_however_much_was_asked_of_a_run_it_can_be_paused_resumed_and_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last of all its commands are kept for that; what is refused then is not written down."""
+    monkeypatch.setattr("cogradar.services.recorder.core.MAX_COMMANDS", URGENT_COMMANDS + 3)
+    journal, core = _begun(smoke_start(dwells=9000))
+    asked: list[tuple[Action, int]] = [(ORTHOGONAL, 300), (DropTrack(track=0), 0)]  # the second is refused
+    asked += [(ORTHOGONAL, 400), (EndRun(), 500), (Pause(), 0), (DropTrack(track=0), 0)]
+    asked += [(action, 10_000_000) for action in (EndRun(), Pause(), HALF)]
+    asked += [(action, 0) for _ in range(URGENT_COMMANDS) for action in (Pause(), Resume())]
+    for n, (action, at) in enumerate([*asked, (EndRun(), 0)], 1):
+        with suppress(Refused):
+            core.handle(_command(n, action, at))
+    kinds = [json.loads(action)["kind"] for (action,) in _rows(journal, "action")]
+    assert kinds[:3] == ["set", "drop", "pause"]
+    assert len(kinds) == URGENT_COMMANDS + 3
+    assert kinds[-1] == "end"
+    assert _rows(journal, "k")[-1][0] == AHEAD + 1
+
+
 def test_a_run_that_is_not_there_is_not_commanded_nor_one_without_room() -> None:
     journal, core = _begun(smoke_start())
     with pytest.raises(Refused, match="no such run goes on"):
         core.handle(_command(1, HALF).model_copy(update={"run": "other"}))
     recorder = Recorder(journal, resume=True)
-    recorder._core = None
-    with pytest.raises(Refused, match="disk is full"):
+    recorder._end(NoRoom("run.db: the disk is full"))
+    with pytest.raises(Refused, match="disk is full; all runs are held"):
         recorder.handle(_command(1, HALF))
     recorder.handle(Tick(0.0))

@@ -157,10 +157,14 @@ def test_a_run_that_is_held_or_has_all_its_commands_is_not_commanded(
         "run = 'r': is held, the recorder cannot write its journal",
     )
     metrics.store.held.clear()
-    monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 1)
+    monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 2)
     assert _post(app, "r", json=HALF | {"at": 500}).status_code == 201
+    monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 1)
     full = _post(app, "r", json=HALF)
     assert (full.status_code, full.json()["detail"]) == (409, "run = 'r': has 1 commands, which is all it can have")
+    monkeypatch.setattr("cogradar.services.metrics.messages.MAX_COMMANDS", 3)
+    kept = _post(app, "r", json={"action": "set strategy uniform"})
+    assert (kept.status_code, kept.json()["detail"][-41:]) == (409, "; 2 more are kept for what is more urgent")
 
 
 def test_a_run_that_ends_meanwhile_is_said_to_have_ended(metrics: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
