@@ -114,13 +114,14 @@ class NoStoreYet(BadInput):
 
 class Limit:
     """How long a question to a file may take, in steps of SQLite's machine: pages that refer to each other can make a
-    short file endless.
+    short file endless. What is in memory is our own, and has no length to compare with.
     """
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._path = path
         self._steps = 0
-        db.set_progress_handler(self._count, STEPS_BETWEEN)
+        if path != MEMORY:
+            db.set_progress_handler(self._count, STEPS_BETWEEN)
 
     def begin(self) -> None:
         """Another question."""
@@ -150,6 +151,7 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     try:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None, check_same_thread=False)
         _distrust(db)
+        Limit(db, path)  # the schema is read now, which may be endless, too
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
     except (sqlite3.Error, UnicodeDecodeError, Failure) as error:  # SQLite quotes what it finds, whatever it is
@@ -262,7 +264,11 @@ def _version(db: sqlite3.Connection, path: str) -> int:
     """Version of a journal; 0 if the file is empty. Raises BadInput if it is anything that cannot be read."""
     (n_table,), (version,), (application,) = (
         db.execute(query).fetchone()
-        for query in ("SELECT COUNT(*) FROM sqlite_master", "PRAGMA user_version", "PRAGMA application_id")
+        for query in (
+            "SELECT COUNT(*) FROM (SELECT 1 FROM sqlite_master LIMIT 1)",
+            "PRAGMA user_version",
+            "PRAGMA application_id",
+        )
     )
     if n_table == version == application == 0:
         return 0
@@ -300,6 +306,8 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY") or _is_for_want_of_room(error):
         return failure(path, error)
+    if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
+        return BadInput(str(failure(path, error)))
     try:
         Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:

@@ -132,6 +132,56 @@ def test_no_question_is_endless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
             journal.read(endless.format("i") + " LIMIT 20000")
 
 
+def _page(children: list[int], start: int = 0) -> bytes:
+    """An inner page of a table: these pages are below it."""
+    cells = [child.to_bytes(4) + bytes([0x81, i % 128]) for i, child in enumerate(children[:-1])]
+    at = [4096 - 6 * (i + 1) for i in range(len(cells))]
+    head = bytes([5, 0, 0, *len(cells).to_bytes(2), *min(at).to_bytes(2), 0, *children[-1].to_bytes(4)])
+    head += b"".join(place.to_bytes(2) for place in at)
+    return bytes(start) + head + bytes(4096 - start - len(head) - 6 * len(cells)) + b"".join(reversed(cells))
+
+
+def _make_schema_endless(path: Path) -> None:
+    """Let the pages of a file's schema refer to each other: 200^5 times the same row of it."""
+    data = bytearray(path.read_bytes())
+    n_page = len(data) // 4096
+    size = 100 + (12 if data[100] == 5 else 8) + 2 * int.from_bytes(data[103:105])
+    own = bytes(data[100:size]) + bytes(100) + bytes(data[size:4096])  # what was in the first page, moved to its start
+    with closing(sqlite3.connect(path)) as db:
+        name, table, root = db.execute(
+            "SELECT name, tbl_name, rootpage FROM sqlite_master WHERE type = 'index'"
+        ).fetchone()
+    text = f"index{name}{table}".encode()
+    record = bytes([6, 23, 13 + 2 * len(name), 13 + 2 * len(table), 1, 0]) + text + bytes([root])
+    cell = bytes([len(record), 100]) + record
+    leaf = bytes([13, 0, 0, 0, 1, *(4096 - len(cell)).to_bytes(2), 0, *(4096 - len(cell)).to_bytes(2)])
+    leaf += bytes(4096 - len(leaf) - len(cell)) + cell
+    inner = [_page(200 * [n_page + 2 + i]) for i in range(5)]
+    data[100:4096] = _page([n_page + 1, n_page + 7], start=100)[100:]
+    data[28:32] = (n_page + 7).to_bytes(4)
+    data[92:96] = data[24:28]
+    path.write_bytes(bytes(data) + own + leaf + b"".join(inner))
+
+
+@pytest.mark.parametrize("is_read_only", [True, False])
+def test_the_schema_of_a_file_is_not_endless(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_read_only: bool
+) -> None:
+    monkeypatch.setattr(schema, "STEPS", 2_000_000)
+    path = tmp_path / "run.db"
+    Journal(str(path)).close()
+    _make_schema_endless(path)
+    with pytest.raises(BadInput, match=r"run\.db: .*more steps"):
+        Journal(str(path), read_only=is_read_only)
+
+
+def test_what_is_in_memory_may_take_as_long_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(schema, "STEPS", 2_000_000)
+    numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 400000) SELECT max(i) AS i FROM n"
+    with closing(Journal(schema.MEMORY)) as journal:
+        assert journal.read(numbers) == [{"i": 400_000}]
+
+
 def test_schema_is_not_trusted(tmp_path: Path) -> None:
     path = str(tmp_path / "run.db")
     Journal(path).close()
