@@ -172,7 +172,7 @@ def test_promtool_finds_nothing_to_say(page: str) -> None:
 
 def test_every_metric_is_of_the_roles_that_the_reference_names(families: dict[str, Metric]) -> None:
     shown = {name for name in families if name.startswith("cogradar_")}
-    assert shown == {"cogradar_up", *(f"cogradar_{name}" for name in METRICS)}
+    assert shown == {"cogradar_up", "cogradar_answers_dropped", *(f"cogradar_{name}" for name in METRICS)}
     for name, meaning in METRICS.items():
         roles = {sample.labels["role"] for sample in families[f"cogradar_{name}"].samples}
         assert meaning.roles == "all" or roles == set(meaning.roles.split(", ")), name
