@@ -72,6 +72,8 @@ class OrderBook:
         most = MAX_ORDERS - _kept_free(order, is_now=order.k == first_k)
         if len(kept) >= most:
             raise Refused(f"{len(kept)} orders are in force or pending; this one must be among the first {most}")
+        if at.is_acquiring and self._pacing.loses_dwells and order.k == first_k:
+            _check_still(order.action)
         self._check(order, at.tracks, is_later=command.at > 0)
         self.orders = [*kept, order]
         return order, replaced
@@ -145,6 +147,12 @@ class OrderBook:
         )
         if is_everywhere and any(isinstance(order.action, Look | SectorSearch) for order in there):
             raise Refused(f"in dwell {k} the radar searches in all directions at once: there are no beams to steer")
+
+
+def _check_still(action: Action) -> None:
+    """Raises Refused for what would last for ever: in real time an acquisition stands still without measurements."""
+    if isinstance(action, Pause) and action.dwells is not None:
+        raise Refused("pause: no dwells are counted while targets are acquired: pause without a number, then resume")
 
 
 def _is_replaced(pending: Order, new: Order) -> bool:

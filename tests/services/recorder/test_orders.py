@@ -109,6 +109,22 @@ def test_in_real_time_a_command_acts_in_the_next_dwell_of_an_acquisition(smoke: 
     assert [one.k for one in _orders(core.handle(_command(2, Resume())))] == [0, 1]
 
 
+def test_in_real_time_no_pause_of_an_acquisition_counts_dwells(smoke: list[Message]) -> None:
+    """None would come: it would never end. Later ones do, and those in lockstep."""
+    timed = smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
+    for start, at, is_refused in ((timed, 0, True), (timed, 50, False), (smoke_start(dwells=DWELLS), 0, False)):
+        journal, core = _begun(start)
+        core.handle(_command(1, Pause(dwells=9), at=at))
+        ((k, reason),) = _rows(journal, "k", "reason")
+        assert (k is None, "pause without a number" in reason) == (is_refused, is_refused)
+    journal, core = _begun(timed)
+    for message in smoke:
+        if isinstance(message, Scan):
+            core.handle(message)
+    core.handle(_command(1, Pause(dwells=9)))
+    assert _rows(journal, "reason") == [("",)]
+
+
 def test_orders_outlive_the_recorder_and_a_full_disk() -> None:
     journal, core = _begun(smoke_start(dwells=DWELLS))
     core.handle(_command(1, HALF))
