@@ -247,7 +247,8 @@ def call(app: typer.Typer) -> NoReturn:
             stream.reconfigure(errors="backslashreplace")  # a terminal without umlauts
     try:
         code = app(standalone_mode=False)
-        sys.stdout.flush()
+        if not sys.stdout.closed:  # as it is once its reader is gone
+            sys.stdout.flush()
         sys.exit(code)
     except OSError as error:
         if error.errno not in _UNWRITTEN:

@@ -226,7 +226,7 @@ def run_tables(result: Result) -> list[Table]:
                 for row in result.windows
                 if row[i]["n"]
             ),
-            {**in_metres(overall), "span": f"all {result.run['dwells']}"},
+            {**in_metres(overall), "span": f"all {result.run['t']}"},
         ]
         columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth
         tables.append(Table(title, columns, rows, bold=frozenset({len(rows) - 1})))
@@ -243,11 +243,11 @@ def _outages(row: dict[str, Any]) -> str:
 def run_caption(result: Result) -> str:
     """One line that identifies a run and its outcome."""
     run = result.run
-    rate = run["dwells"] / result.elapsed_s
+    rate = run["t"] / result.elapsed_s  # not "dwells": a run without an end has none, one that was ended has more
     windows = f", windows of {WINDOW} dwells" if result.windows else ""
     lines = [
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
-        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
+        f"{run['t']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
     ]
     is_known = result.picture.get("gospa_km") is not None
     if any(row["p_d"] is not None for row in result.targets):
@@ -297,7 +297,7 @@ def _real_time(result: Result) -> str:
     late = ", ".join(f"T{row['target']} {100 * (row['late'] or 0.0):.2f} %" for row in result.targets)
     longest = max(result.targets, key=lambda row: int(row["n"]))
     stale = 100 * (longest["stale"] or 0.0)
-    scored = f"{result.picture['dwells']} of {result.run['dwells']} dwells scored; "
+    scored = f"{result.picture['dwells']} of {result.run['t']} dwells scored; "
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 
 

@@ -26,6 +26,7 @@ from cogradar.shared.protocol.orders import (
     looks,
     searches,
     settings_of,
+    text_of,
     under,
 )
 from cogradar.shared.scenario.combinations import check_combination
@@ -145,8 +146,11 @@ class OrderBook:
         is_everywhere = strategy is Strategy.ORTHOGONAL or (
             radar.search is not None and radar.search.pattern == "isotropic"
         )
-        if is_everywhere and any(isinstance(order.action, Look | SectorSearch) for order in there):
-            raise Refused(f"in dwell {k} the radar searches in all directions at once: there are no beams to steer")
+        if is_everywhere and (steered := [o.action for o in there if isinstance(o.action, Look | SectorSearch)]):
+            raise Refused(
+                f"in dwell {k} the radar would search in all directions at once: there are no beams to steer for"
+                f" `{text_of(steered[0])}`"
+            )
 
 
 def _check_still(action: Action) -> None:

@@ -4,6 +4,7 @@ import csv
 import io
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,28 @@ from typer.testing import CliRunner
 
 from cogradar.services.cli import console
 from cogradar.services.cli.app import app
-from cogradar.services.cli.console import CONFIG_VARIABLE, command, endpoints, print_csv, say, wrong_usage
+from cogradar.services.cli.console import CONFIG_VARIABLE, call, command, endpoints, print_csv, say, wrong_usage
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
 from cogradar.shared.scenario.files import ScenarioError
+
+
+def test_standard_output_without_a_reader_is_a_line_and_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gone = typer.Typer()
+
+    @gone.command()
+    def feeds() -> None:
+        with command():
+            sys.stdout.close()
+            raise RunFailed("standard output: its reader is gone")
+
+    monkeypatch.setattr(sys, "argv", ["cogradar"])
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    with pytest.raises(SystemExit) as ended:
+        call(gone)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "standard output: its reader is gone\n"
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -119,6 +120,13 @@ def test_the_terminal_shows_who_came_later(played: tuple[Store, Result]) -> None
         *2 * [(False, True)],
     ]
     assert "Wilson" in run_caption(result)
+
+
+def test_the_terminal_says_how_long_a_run_without_an_end_was(played: tuple[Store, Result]) -> None:
+    ended = replace(played[1], run=played[1].run | {"dwells": None, "rate_hz": 4.0})
+    assert f" {DWELLS} dwells in " in run_caption(ended)
+    assert f"of {DWELLS} dwells scored" in run_caption(ended)
+    assert run_tables(ended)[0].rows[-1]["span"] == f"all {DWELLS}"
 
 
 def test_arrays_and_tables_leave_out_who_is_not_there(played: tuple[Store, Result]) -> None:

@@ -243,8 +243,8 @@ def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_t
         (sky_start(dwells=DWELLS), [DropTrack(track=3)], "there is no track 4"),
         (sky_start(dwells=DWELLS), [Setting(key="rule", value="mode")], "tracks have none with radar.planner.looks ="),
         (sky_start(dwells=DWELLS), [Setting(key="objective", value="max-min")], "no supported combination; nearest: "),
-        (sky_start(dwells=DWELLS), [BLANK, ORTHOGONAL], "the radar searches in all directions at once"),
-        (sky_start(dwells=DWELLS), [ORTHOGONAL, BLANK], "the radar searches in all directions at once"),
+        (sky_start(dwells=DWELLS), [BLANK, ORTHOGONAL], "no beams to steer for `sector blank"),
+        (sky_start(dwells=DWELLS), [ORTHOGONAL, BLANK], "no beams to steer for `sector blank"),
         (
             sky_start(dwells=DWELLS),
             49 * [Look(bearing_deg=20, dwells=9, share=0.01)],
