@@ -18,7 +18,7 @@ from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.lock import inode_in_use
+from cogradar.services.recorder.lock import inode_in_use, is_written
 from cogradar.services.recorder.schema import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message
@@ -62,10 +62,13 @@ class MetricsCore:
         except OSError as error:
             fault = "was removed" if isinstance(error, FileNotFoundError) else f"{error.strerror}"
             return f"held: {self._path} {fault}"
+        fault = ""
         if inode_in_use(self._path) not in {None, status.st_ino}:
-            return f"held: {self._path} was replaced, its recorder has another file open"
-        if not status.st_mode & 0o222:
-            return f"held: {self._path} was made read-only"
+            fault = "was replaced, its recorder has another file open"
+        elif not status.st_mode & 0o222:
+            fault = "was made read-only"
+        if fault and is_written(self._path):  # else it is a copy, or what is kept
+            return f"held: {self._path} {fault}"
         return NO_ROOM if self.store.held else ""
 
     @property

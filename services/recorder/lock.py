@@ -54,6 +54,16 @@ def inode_in_use(path: str) -> int | None:
     return inode if isinstance(inode, int) else None
 
 
+def is_written(path: str) -> bool:
+    """Whether a process has the lock of a journal. One that was killed leaves the lock's file behind, not the lock."""
+    try:
+        with Path(f"{Path(path).resolve()}.lock").open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return not isinstance(error, FileNotFoundError)
+    return False
+
+
 def _signature(path: str, owner: str) -> dict[str, object]:
     since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     inode = Path(path).stat().st_ino if Path(path).exists() else None

@@ -111,6 +111,20 @@ def test_metrics_says_so(how: str, tmp_path: Path) -> None:
     recorder.close()
 
 
+@pytest.mark.parametrize("how", ["replaced", "read-only"])
+def test_a_journal_that_nobody_writes_is_not_held(how: str, tmp_path: Path) -> None:
+    """It is a copy, or is kept where its recorder was killed."""
+    path, lock = tmp_path / "run.db", tmp_path / "run.db.lock"
+    journal = Journal(str(path))
+    left = lock.read_bytes()
+    journal.close()
+    lock.write_bytes(left)
+    DISPLACE[how][0](path)
+    with closing(MetricsCore(str(path))) as metrics:
+        _ticks(metrics)
+        assert metrics.trouble == ""
+
+
 def test_a_run_in_process_ends_with_the_reason(tmp_path: Path) -> None:
     """There the core has the journal alone, and nobody who would wait."""
     path = tmp_path / "run.db"
