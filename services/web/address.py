@@ -22,7 +22,7 @@ HERE = ("localhost", "127.0.0.1", "[::1]")
 HOSTS_VARIABLE = "COGRADAR_HTTP_HOSTS"
 TOKEN_VARIABLE, TOKEN_FILE_VARIABLE = "COGRADAR_HTTP_TOKEN", "COGRADAR_HTTP_TOKEN_FILE"
 COMMAND_VARIABLE, COMMAND_FILE_VARIABLE = "COGRADAR_COMMAND_TOKENS", "COGRADAR_COMMAND_TOKENS_FILE"
-_FORM = r"[A-Za-z0-9_.~-]{16,256}"
+FORM = r"[A-Za-z0-9_.~\-]{16,256}"  # of a token; browsers want "-" escaped
 _FORM_TEXT = "16 to 256 letters, digits, '_', '.', '~' and '-'"
 _INHERITED = re.compile(r"fd:(\d{1,6})/(.+)")
 _PLACE = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([^\s:/]+)):(\d{1,5})")
@@ -99,7 +99,7 @@ def token() -> str:
     """
     lines, source = _secrets(TOKEN_VARIABLE, TOKEN_FILE_VARIABLE)
     given = (lines or [""])[0].strip()
-    if source and not re.fullmatch(_FORM, given):
+    if source and not re.fullmatch(FORM, given):
         raise BadInput(f"{source}: must be {_FORM_TEXT}")
     return given
 
@@ -114,7 +114,7 @@ def commanders() -> dict[str, str]:
         if not given:
             continue
         name, _, shown = given.partition(":")
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,47}", name) or not re.fullmatch(_FORM, shown):
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,47}", name) or not re.fullmatch(FORM, shown):
             raise BadInput(
                 f"{source}: must be NAME:TOKEN, a name of letters and digits; the token must be {_FORM_TEXT}"
             )

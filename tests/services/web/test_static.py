@@ -1,8 +1,11 @@
 """The page's files: as they are installed, compressed, kept by whoever has them, and under a strict policy."""
 
+import re
+
 import httpx
 import pytest
 
+from cogradar.services.web.address import FORM
 from cogradar.services.web.static import CHARTS, PAGE
 
 
@@ -25,6 +28,12 @@ def test_a_browser_is_told_to_ask_nobody_else(web: httpx.Client) -> None:
         assert {policy[name] for name in ("script-src", "connect-src")} == {"'self'"}
         assert policy["frame-ancestors"] == "'none'"
         assert (headers["x-content-type-options"], headers["referrer-policy"]) == ("nosniff", "no-referrer")
+
+
+def test_the_page_takes_what_can_be_a_commanders_token() -> None:
+    """A header cannot carry anything else: the request would fail as if there were no service."""
+    html = (PAGE / "index.html").read_text(encoding="utf-8")
+    assert re.findall(r'id="token" [^>]*pattern="([^"]+)"', html) == [rf"\s*{FORM}\s*"]
 
 
 def test_the_page_is_html_and_the_charts_are_a_script(web: httpx.Client) -> None:
