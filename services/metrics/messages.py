@@ -15,6 +15,7 @@ from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Look, Order, SectorSearch, Setting, in_force, text_of
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.codec import fields
 
 TOPICS = tuple(BY_MESSAGE[message].name for message in (Scan, Truth, Plan, Waveform))
@@ -44,7 +45,7 @@ def orders(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     """The commands of one run that were granted: number, dwell from which on, and action."""
     (run,) = one_run(store, parameters)
     query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL ORDER BY n"
-    return [row | {"action": json.loads(row["action"])} for row in store.read(query, [run["run"]])]
+    return [_order(run["run"], row).model_dump() for row in store.read(query, [run["run"]])]
 
 
 def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
@@ -128,6 +129,15 @@ def _rows(store: Store, run: Run, condition: str = "1", values: Sequence[str] = 
     return [_row(run, row, k, is_missing=row["n"] in missing) for row in rows]
 
 
+def _order(run: str, row: Run) -> Order:
+    """The order in a row of `command`. Raises BadInput: a store may come from anywhere."""
+    try:
+        return order_of(row)
+    except (ValueError, TypeError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise BadInput(printable(f"run = {run!r}: command {row['n']} cannot be read: {what}")) from None
+
+
 def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> dict[str, Any]:
     is_over = row.pop("over_k") is not None or run["status"] != "running"
     if row["k"] is None or is_over:
@@ -136,7 +146,7 @@ def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> d
         state = "pending"
     else:
         state = "awaits the allocator" if is_missing else "in force"
-    action = order_of({"n": row["n"], "k": 0, "action": row["action"]}).action
+    action = _order(run["run"], {"n": row["n"], "k": 0, "action": row["action"]}).action
     t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
     return row | {"t": t, "action": text_of(action), "state": state}
 
@@ -147,7 +157,7 @@ def _missing(store: Store, run: str, newest_k: int) -> set[int]:
     In real time the front end goes on with an old waveform while the allocator is away. Limits it knows itself.
     """
     query = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
-    orders: list[Order] = [order_of(row) for row in store.read(query, [run, newest_k])]
+    orders = [_order(run, row) for row in store.read(query, [run, newest_k])]
     asked = {order.n for order in in_force(orders, newest_k) if isinstance(order.action, SectorSearch | Look | Setting)}
     if not asked:
         return asked

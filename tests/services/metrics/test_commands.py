@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
@@ -48,6 +49,16 @@ def test_of_many_commands_those_that_are_open_and_the_one_with_an_id_are_asked_f
     assert "(run=? AND id=?)" in plan[0]["detail"]
     journal.give_up_unfinished()
     assert _states(store) == {}
+
+
+@pytest.mark.parametrize("action", ["{bad", "[]", '{"kind": "power", "share": 9}'])
+def test_a_command_that_cannot_be_read_is_named(store: Store, action: str) -> None:
+    store.journal.add_command(_command(1, LOOK), 1, 5, "")
+    assert [row["action"]["kind"] for row in answer(store, "orders", {"run": "r"})] == ["look"]
+    store.journal.write("UPDATE command SET action = ?", action)
+    for metric in ("commands", "orders"):
+        with pytest.raises(BadInput, match="run = 'r': command 1 cannot be read: "):
+            answer(store, metric, {"run": "r"})
 
 
 def test_an_order_awaits_the_allocator_until_a_waveform_obeys_it(store: Store) -> None:
