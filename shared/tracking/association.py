@@ -50,6 +50,7 @@ MOST_COVERED = 0.9  # of a belief, in the looks of an older waveform: with less 
 MOST_LOST = 0.01  # of a belief, in range cells that were not received: with more of it a track coasts
 _BROAD = 1.0  # 1/variance of a direction that was not measured
 _SIGMAS = 4.0  # of a belief, around which a detection in the looks of an older waveform may be its own
+_AS_TOLD = 3.0  # standard deviations from where an older roster expects a track, within which it still is right
 _ROUNDING = 1e-9  # of a direction: two tracks are as near
 
 
@@ -73,7 +74,7 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     if scan.expected is None:
         share, missed = _alone(model, state, scan, rows, gate)
         own = TrackLooks()
-    elif scan.age > 0:
+    elif scan.age > 0 and not _is_as_told(model, state, scan, at):
         share, missed = _by_belief(model, state, scan, rows, gate)
         own = _track_looks(model, scan, at, share, rows, gate)
     else:
@@ -103,6 +104,16 @@ def _is_lost(model: TrackerModel, state: TrackState, scan: Detections) -> bool:
     expected = predicted_states(state.belief.sample(), model.motion.dt)
     ranges_km = np.hypot(expected[:, 0], expected[:, 2])
     return bool(scan.is_lost(ranges_km, model.response.range_cell_km).mean() > MOST_LOST)
+
+
+def _is_as_told(model: TrackerModel, state: TrackState, scan: Detections, at: int) -> bool:
+    """Whether a track in this row of the roster is still expected about where the roster of an older waveform says."""
+    nu, nu_sigma, range_km, range_sigma = (float(value) for value in np.asarray(scan.expected)[at, :4])
+    expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
+    off_nu = float(apart(spatial_frequency(expected).mean(), nu))
+    off_km = abs(float(np.hypot(expected[:, 0], expected[:, 2]).mean()) - range_km)
+    is_there = not response.measures_range or off_km < _AS_TOLD * range_sigma + response.range_cell_km
+    return is_there and off_nu < _AS_TOLD * nu_sigma + 0.5 * response.lobe
 
 
 def _is_stale(model: TrackerModel, state: TrackState, scan: Detections, looks: Looks) -> bool:

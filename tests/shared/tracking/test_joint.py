@@ -230,6 +230,15 @@ def test_looks_of_an_older_waveform_are_judged_by_where_the_belief_expects_the_t
     assert odds(own) < 0.75 * odds(tentative())  # it was aimed well all the same
 
 
+def test_an_older_roster_that_still_is_right_tells_whose_a_detection_is() -> None:
+    """Each by its own belief would take it: two tracks would follow one target, until the younger one ended."""
+    states = [begun(target, (nu, 0.0)) for target, nu in ((0, 0.1), (1, 0.11))]
+    for flown, n_hit in ((0.01, 1), (0.1, 2)):
+        scan = scan_of([(0.1, 0.104, 50.25)], [(0.1 + flown, 50.2), (0.11 + flown, 50.2)])
+        stale = [associate(BEST_RANGE, state, scan._replace(waveform_k=-1)) for state in states]
+        assert [one.looks.is_hit for one in stale].count(True) == n_hit
+
+
 def test_a_detection_says_more_of_a_target_the_rarer_noise_makes_it_and_a_miss_less_where_another_hides_it() -> None:
     """By the limit and the statistic, in as many range cells as the gate of each look has."""
     n_cell = 2 * 9  # gate: 46 .. 55 km
