@@ -1,6 +1,6 @@
 """The waveform that serves the plans of one dwell."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,7 +16,9 @@ from cogradar.shared.protocol.orders import (
     SectorSearch,
     is_paused,
     looks,
+    of_tracks,
     power_share,
+    priorities,
     searches,
     settings_of,
     under,
@@ -66,6 +68,8 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
     orders : in force in the dwell that it is for (`cogradar.shared.protocol.orders.in_force`)
     """
     radar, strategy = under(radar, strategy, settings_of(orders))
+    born_ks = dict(zip((plan.target for plan in update.plans), update.born_k, strict=True))
+    orders = of_tracks(orders, born_ks if radar.is_unknown else None)
     radar = _with_power(radar, radar.array.power * power_share(orders))
     array = radar.array
     served = [coasted(radar, plan, update.k) for plan in update.plans]
@@ -73,7 +77,7 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
         unlit = np.full((len(served), 1), np.nan)
         return _message(radar, update, served, _nothing(array.n_tx, array.power, unlit, "acquisition"), None, orders)
     lit = [plan for plan in (_outside_blanked(radar, plan, orders) for plan in served) if plan.bins.size]
-    requests = _requests(radar, lit) if lit else None
+    requests = _requests(radar, lit, priorities(orders)) if lit else None
     searched, powers, roster, power = np.empty(0), np.empty(0), None, 0.0
     if radar.search is not None:
         next_search = update.next_search
@@ -183,8 +187,8 @@ def _message(
     )
 
 
-def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
-    """What the plans of tracks ask for, as arrays."""
+def _requests(radar: RadarConfig, plans: Sequence[Plan], weights: Mapping[int, float]) -> Requests:
+    """What the plans of tracks ask for, as arrays; `weights`: priorities of some of the tracks."""
     n, centres = max(plan.bins.size for plan in plans), bin_centres(radar.array.n_bin)
     nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
     for m, plan in enumerate(plans):
@@ -193,7 +197,8 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
     ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
     gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
     reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
-    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k)
+    wanted = np.array([weights.get(plan.target, 1.0) for plan in plans])
+    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k, wanted)
 
 
 def _worth(plan: Plan) -> float:

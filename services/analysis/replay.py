@@ -18,7 +18,7 @@ from cogradar.services.errors import BadInput
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
-from cogradar.shared.protocol.orders import DropTrack, Order, in_force
+from cogradar.shared.protocol.orders import DropTrack, Order, in_force, of_tracks
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.tables import TRUE_RULES
@@ -118,7 +118,9 @@ def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_c
         numbers = set() if said is None else set(said.tolist())
         return [one.model_copy(update={"k": min(one.k, k)}) for one in given if one.n in numbers]
     dropping = [one for one in given if one.k == k and isinstance(one.action, DropTrack)]
-    return [*in_force(given, k), *dropping]
+    rosters = _rosters([one for one in messages if isinstance(one, Scan)])
+    born_ks = dict(zip(rosters[0].ids.tolist(), rosters[0].born_k.tolist(), strict=True)) if rosters else None
+    return [*of_tracks(in_force(given, k), born_ks), *dropping]  # without those of all tracks that there ever were
 
 
 def _rosters(messages: Sequence[Message]) -> list[Roster]:

@@ -17,6 +17,7 @@ from cogradar.shared.protocol.orders import (
     Order,
     Pause,
     PowerLimit,
+    Priority,
     Resume,
     SectorSearch,
     Setting,
@@ -24,6 +25,7 @@ from cogradar.shared.protocol.orders import (
     in_force,
     is_over,
     looks,
+    of_tracks,
     searches,
     settings_of,
     text_of,
@@ -95,6 +97,8 @@ class OrderBook:
                 return False
             case DropTrack():
                 return order.k <= known_k and not dropped([order], k, born_ks)
+            case Priority() if self._radar.is_unknown and order.k <= known_k and not of_tracks([order], born_ks):
+                return True
             case _:
                 return is_over(order, self.orders, k)
 
@@ -105,8 +109,10 @@ class OrderBook:
                 pass
             case DropTrack():
                 self._needs_roster(order.action)
-                if not is_later and order.action.track not in tracks:
-                    raise Refused(f"there is no track {order.action.track + 1}")
+                self._needs_track(order.action, tracks, is_later=is_later)
+            case Priority():
+                self._needs_track(order.action, tracks, is_later=is_later)
+                self._check_together(order)
             case Look() | SectorSearch():
                 self._needs_roster(order.action)
                 self._check_together(order)
@@ -118,6 +124,12 @@ class OrderBook:
     def _needs_roster(self, action: Action) -> None:
         if not self._radar.is_unknown:
             raise Refused(f"{action.kind}: only where the number of targets is unknown (radar.tracks)")
+
+    def _needs_track(self, action: DropTrack | Priority, tracks: Collection[int], *, is_later: bool) -> None:
+        announced = self._radar.announced
+        is_there = is_later or action.track in tracks if self._radar.is_unknown else action.track < announced
+        if not is_there:
+            raise Refused(f"there is no track {action.track + 1}")
 
     def _check_together(self, new: Order) -> None:
         """At each dwell with other orders: settings are a supported combination, there are beams where some are asked
@@ -143,6 +155,12 @@ class OrderBook:
             check_combination(radar.model_dump())
         except ValueError as error:
             raise Refused(f"in dwell {k}: {error}") from None
+        wanted = [order.action for order in there if isinstance(order.action, Priority)]
+        if wanted and strategy is not Strategy.POWER_AWARE:
+            raise Refused(
+                f'in dwell {k} the strategy is "{strategy}", which knows no priorities such as `{text_of(wanted[0])}`:'
+                ' only "power-aware" gives tracks the power that they need'
+            )
         is_everywhere = strategy is Strategy.ORTHOGONAL or (
             radar.search is not None and radar.search.pattern == "isotropic"
         )
@@ -161,18 +179,17 @@ def _check_still(action: Action) -> None:
 
 def _is_replaced(pending: Order, new: Order) -> bool:
     """Whether an order shapes no dwell because of a new one: nothing follows the end of a run."""
-    match new.action:
-        case EndRun():
-            return pending.k >= new.k
-        case PowerLimit():
-            return pending.k == new.k and isinstance(pending.action, PowerLimit)
-        case Setting():
-            return pending.k == new.k and isinstance(pending.action, Setting) and pending.action.key == new.action.key
-        case Pause() | Resume():
-            return pending.k == new.k and isinstance(pending.action, Pause | Resume)
-        case SectorSearch():
-            other = pending.action
-            return pending.k == new.k and isinstance(other, SectorSearch) and new.action.contains(other)
+    if isinstance(new.action, EndRun):
+        return pending.k >= new.k
+    if pending.k != new.k:
+        return False
+    match new.action, pending.action:
+        case (PowerLimit(), PowerLimit()) | (Pause() | Resume(), Pause() | Resume()):
+            return True
+        case (Setting(key=one), Setting(key=other)) | (Priority(track=one), Priority(track=other)):
+            return one == other
+        case SectorSearch() as sector, SectorSearch() as earlier:
+            return sector.contains(earlier)
         case _:
             return False
 

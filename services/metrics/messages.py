@@ -13,7 +13,7 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import order_of
 from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
-from cogradar.shared.protocol.orders import Look, Order, SectorSearch, Setting, in_force, text_of
+from cogradar.shared.protocol.orders import Look, Order, Priority, SectorSearch, Setting, in_force, text_of
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.codec import fields
@@ -152,13 +152,14 @@ def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> d
 
 
 def _missing(store: Store, run: str, newest_k: int) -> set[int]:
-    """Numbers of the sectors, looks and settings of the newest dwell that its waveform, the newest one, does not obey.
+    """Numbers of orders of the newest dwell that change its beams and that its waveform, the newest, does not obey.
 
     In real time the front end goes on with an old waveform while the allocator is away. Limits it knows itself.
     """
     query = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
     orders = [_order(run, row) for row in store.read(query, [run, newest_k])]
-    asked = {order.n for order in in_force(orders, newest_k) if isinstance(order.action, SectorSearch | Look | Setting)}
+    kinds = SectorSearch | Look | Priority | Setting
+    asked = {order.n for order in in_force(orders, newest_k) if isinstance(order.action, kinds)}
     if not asked:
         return asked
     newest = store.read(

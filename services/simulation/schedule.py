@@ -20,6 +20,7 @@ from cogradar.shared.protocol.orders import (
     Look,
     Pause,
     PowerLimit,
+    Priority,
     Resume,
     SectorSearch,
     Setting,
@@ -186,10 +187,12 @@ class Schedule:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
         actions += [Pause(), Pause(dwells=2), Resume(), Setting(key="strategy", value="orthogonal")]
         actions += [Setting(key="strategy", value="uniform"), Setting(key="objective", value="urgency")]
+        tracks = range(2 if self.sky == "known" else 6)  # of an unknown number some begin after the dwell of the order
+        actions += [Priority(track=m, weight=weight) for m in tracks for weight in (1.0, 5.0)]
         if self.sky == "known":
             actions += [Setting(key="rule", value="mode"), Setting(key="rule", value="mean")]
         if self.sky == "unknown":
-            actions += [DropTrack(track=m) for m in range(6)]  # some begin after the dwell of the order
+            actions += [DropTrack(track=m) for m in tracks]
             actions += [SectorSearch(from_deg=-90, to_deg=0, search="blank"), Look(bearing_deg=20, dwells=2, share=0.3)]
             actions += [SectorSearch(from_deg=-20, to_deg=90, search="double")]
             actions += [SectorSearch(from_deg=-90, to_deg=90, search="normal")]

@@ -6,7 +6,14 @@ from pydantic import BaseModel, Field, create_model
 
 from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from cogradar.shared.protocol.fields import RunId
-from cogradar.shared.protocol.orders import LEAST_POWER, MAX_LOOK_DWELLS, MAX_LOOKS, MAX_PAUSE_DWELLS, forms
+from cogradar.shared.protocol.orders import (
+    LEAST_POWER,
+    MAX_LOOK_DWELLS,
+    MAX_LOOKS,
+    MAX_PAUSE_DWELLS,
+    PRIORITIES,
+    forms,
+)
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -222,6 +229,14 @@ class DropDocument(Document):
     track: int = Field(ge=1, lt=2**31)
 
 
+class PriorityDocument(Document):
+    """Want so many times the signal-to-noise ratio of a track, counted from 1, that the radar would."""
+
+    kind: Literal["priority"]
+    track: int = Field(ge=1, lt=2**31)
+    weight: float = Field(ge=PRIORITIES[0], le=PRIORITIES[1])
+
+
 class SettingDocument(Document):
     """Set the run's strategy, the radar's rule of looking or its objective of allocation, until it is set again."""
 
@@ -258,6 +273,7 @@ class CommandDocument(Document):
             | SectorDocument
             | LookDocument
             | DropDocument
+            | PriorityDocument
             | SettingDocument
             | PauseDocument
             | ResumeDocument

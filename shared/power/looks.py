@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cogradar.shared.power.curve import Curve, curve_of
 from cogradar.shared.power.joint import most_detections
 from cogradar.shared.power.rules import Emission, Requests
-from cogradar.shared.power.wide import widened
+from cogradar.shared.power.wide import wanted, widened
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.waveform import beam_factor
@@ -40,7 +40,8 @@ def emitted(
 ) -> Emission:
     """The waveform of the greatest sum of worths of detections in open cells, with further cells of their tracks.
 
-    worths  : (M, C) of a detection if the target is in the cell, times the chance that it is
+    worths  : (M, C) of a detection if the target is in the cell, times the chance that it is; of tracks alike in
+              priority
     is_open : (M, C), the others are dark
     given   : a cell that is lit whatever its worth
     """
@@ -50,7 +51,9 @@ def emitted(
     pays[:, 0] = True
     rows, columns = np.nonzero(pays & is_open)
     left = array.power - (0.0 if given is None else given.power)
-    bought = most_detections(_curve(radar), worths[rows, columns], requests.gains[rows], left)
+    times = wanted(radar, requests)
+    worths = worths * (requests.priorities * times)[:, np.newaxis]  # of power: by the priority
+    bought = most_detections(_curve(radar), worths[rows, columns], (requests.gains / times)[rows], left)
     shares[rows, columns] = bought.powers
     if given is not None:
         shares[given.track, given.column] += given.power

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-_NOWHERE, _NOBODY = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+_NOWHERE, _NOBODY, _ALIKE = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.ones(1)
 
 
 class Requests(NamedTuple):
@@ -38,6 +38,7 @@ class Requests(NamedTuple):
     reaches: NDArray[np.int64] = _NOWHERE  # (M,) cells to either side in which it may be, too; (0,): none
     astray: NDArray[np.bool_] = _NOBODY  # (M,) its misses are improbable
     k: int = 0  # dwell of the plans
+    priorities: Floats = _ALIKE  # (M,) > 0, how many times the signal-to-noise ratio is wanted; (1,): of all alike
 
     @classmethod
     def of_single(cls, nus: Floats, ranges_km: Floats, gains: Floats) -> Self:
@@ -46,8 +47,8 @@ class Requests(NamedTuple):
 
     @property
     def weights(self) -> Floats:
-        """Expected echo power 1/R^4 of each track, (M,); only ratios matter."""
-        return np.asarray(self.ranges_km**-4.0)
+        """Expected echo power 1/R^4 of each track over what is wanted of it, (M,); only ratios matter."""
+        return np.asarray(self.ranges_km**-4.0 / self.priorities)
 
 
 class Emission(NamedTuple):
@@ -95,7 +96,7 @@ def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
 def max_min(radar: RadarConfig, requests: Requests) -> Emission:
     """The max-min optimum over the tracks' first cells; of gains, where no range tells how strong an echo is."""
     array, nus = radar.array, requests.nus[:, 0]
-    weights = requests.gains if radar.assumes.rcs == "unknown" else requests.weights
+    weights = requests.gains / requests.priorities if radar.assumes.rcs == "unknown" else requests.weights
     found = _solver(radar.allocation, nus.size)(nus, weights, array.power, array.n_tx)
     return Emission(0.0, found.factor, requests.nus[:, :1], found.shares[:, np.newaxis], found.status)
 

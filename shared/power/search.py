@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.power.rules import Requests
-from cogradar.shared.power.wide import KEPT, sure_powers
+from cogradar.shared.power.wide import KEPT, sure_powers, wanted
 from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.looks import n_range_cells
@@ -94,5 +94,6 @@ def search_power(radar: RadarConfig, search: SearchSection, requests: Requests |
         return power
     if search.share != "auto":
         return float(search.share) * power
-    needed = KEPT * float((sure_powers(radar, requests.gains) * (requests.chances.sum(axis=1) > 0.0)).sum())
+    gains = requests.gains / wanted(radar, requests)
+    needed = KEPT * float((sure_powers(radar, gains) * (requests.chances.sum(axis=1) > 0.0)).sum())
     return max(power - needed, LEAST_SHARE * power)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.power.looks import First, emitted
 from cogradar.shared.power.rules import Emission, Requests
-from cogradar.shared.power.wide import sure_powers
+from cogradar.shared.power.wide import sure_powers, wanted
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 TURN = 10  # dwells: of so many, one has a look for one track in turn, every TURN * M dwells for each
@@ -43,7 +43,7 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
         track = turn % requests.gains.size
         if is_open[track].any():
             most = MOST * radar.array.power
-            sure = float(sure_powers(radar, requests.gains)[track])
+            sure = float(sure_powers(radar, requests.gains / wanted(radar, requests))[track])
             given = First(track, int(np.argmax(is_open[track])), min(sure, most))
     return emitted(radar, requests, worths, is_open, given)
 

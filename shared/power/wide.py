@@ -34,6 +34,16 @@ def sure_powers(radar: RadarConfig, gains: Floats) -> Floats:
     return np.asarray(zeta / np.maximum(gains, _LEAST_GAIN))
 
 
+def wanted(radar: RadarConfig, requests: Requests) -> Floats:
+    """How many times as strong looks at tracks are to be as without priorities, (M,) >= 1.
+
+    As a priority says, but with all the power a look must still be sure: one that asks for more would be thought to be
+    in vain. One below 1 makes no look too weak to find a target; it is worth less.
+    """
+    most = radar.array.power / sure_powers(radar, requests.gains)
+    return np.asarray(np.maximum(np.minimum(requests.priorities, most), 1.0))
+
+
 def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
     """What is sent with further cells for tracks that ask for them; as it is if there is no power for any.
 
@@ -42,7 +52,7 @@ def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
     """
     if not requests.reaches.any():
         return sent
-    sure = sure_powers(radar, requests.gains)
+    sure = sure_powers(radar, requests.gains / wanted(radar, requests))
     spare = np.maximum(sent.shares - KEPT * sure[:, np.newaxis], 0.0)
     nus, distances = _beside(radar, sent.nus)
     is_near = (distances <= requests.reaches[:, np.newaxis] + _APART) & (sent.shares[:, :1] >= sure[:, np.newaxis])

@@ -25,6 +25,7 @@ MAX_LOOKS = 0.5  # of the power, for all looks of a dwell that were asked for
 LEAST_POWER = 0.01
 MAX_LOOK_DWELLS = 100_000
 MAX_PAUSE_DWELLS = 2**31 - 1
+PRIORITIES = (0.1, 10.0)  # the least and the most
 SETTINGS = {"strategy": tuple(POWER_RULES), "rule": tuple(BIN_RULES), "objective": tuple(OBJECTIVES)}
 Bearing = Annotated[float, Field(ge=-90.0, le=90.0)]  # degrees from boresight, to the side of positive y
 
@@ -98,6 +99,17 @@ class DropTrack(Compared):
     track: Index
 
 
+class Priority(Compared):
+    """Want so many times the signal-to-noise ratio of a track that the radar would, until it is set again; 1: as much.
+
+    What the track takes, the others lack. The order ends with its track.
+    """
+
+    kind: Literal["priority"] = "priority"
+    track: Index
+    weight: Annotated[float, Field(ge=PRIORITIES[0], le=PRIORITIES[1])]
+
+
 class Setting(Compared):
     """Set the run's strategy, the radar's rule of looking, or its objective of allocation, until it is set again."""
 
@@ -132,7 +144,8 @@ class EndRun(Compared):
 
 
 Action = Annotated[
-    PowerLimit | SectorSearch | Look | DropTrack | Setting | Pause | Resume | EndRun, Field(discriminator="kind")
+    PowerLimit | SectorSearch | Look | DropTrack | Priority | Setting | Pause | Resume | EndRun,
+    Field(discriminator="kind"),
 ]
 
 
@@ -149,17 +162,20 @@ Settings = Annotated[list[Setting], Field(min_length=1, max_length=len(SETTINGS)
 
 
 def in_force(orders: Iterable[Order], k: int) -> list[Order]:
-    """Limits, sectors, looks, settings and pauses that shape dwell k, in the order in which they took effect.
+    """What shapes dwell k, in the order in which it took effect; neither drops nor the end of the run.
 
-    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, and a sector
-    those that it contains. What is replaced for good, and what changes nothing, is not in force.
+    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, a priority
+    that of the same track, and a sector those that it contains. What is replaced for good, and what changes nothing, is
+    not in force. A priority may be of a track that is not there (`of_tracks`).
     """
     begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
     limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
     looks = [order for order in begun if isinstance(order.action, Look) and k < order.k + order.action.dwells]
     pauses = [order for order in begun if isinstance(order.action, Pause | Resume)][-1:]
     settings = {order.action.key: order for order in begun if isinstance(order.action, Setting)}
+    wanted = {order.action.track: order for order in begun if isinstance(order.action, Priority)}
     found = {order.n for order in [*looks, *settings.values(), *_sectors(begun)]}
+    found |= {order.n for order in wanted.values() if isinstance(order.action, Priority) and order.action.weight != 1.0}
     found |= {order.n for order in pauses if isinstance(order.action, Pause) and _lasts(order, order.action, k)}
     found |= {order.n for order in limits if isinstance(order.action, PowerLimit) and order.action.share < 1.0}
     return [order for order in begun if order.n in found]
@@ -190,6 +206,30 @@ def _sectors(begun: Iterable[Order]) -> list[Order]:
 def power_share(orders: Iterable[Order]) -> float:
     """Share of the array's power that orders in force allow."""
     return min((order.action.share for order in orders if isinstance(order.action, PowerLimit)), default=1.0)
+
+
+def of_tracks(orders: Iterable[Order], born_ks: Mapping[int, int] | None) -> list[Order]:
+    """Orders without those priorities whose track is not there, or was not in the roster of the dwell before theirs.
+
+    Like a drop: who still knows the order when a later track begins must not matter.
+
+    born_ks : dwell with whose scan each track began, of those that are there; None: all are, and always were
+    """
+    return [
+        order
+        for order in orders
+        if born_ks is None or not isinstance(order.action, Priority) or _was_there(order, order.action.track, born_ks)
+    ]
+
+
+def _was_there(order: Order, track: int, born_ks: Mapping[int, int]) -> bool:
+    """Whether a track that is there was in the roster of the dwell before that of an order."""
+    return born_ks.get(track, order.k) + 1 < order.k
+
+
+def priorities(orders: Iterable[Order]) -> dict[int, float]:
+    """How many times the signal-to-noise ratio is wanted of a track, by orders in force; 1 of those that it lacks."""
+    return {order.action.track: order.action.weight for order in orders if isinstance(order.action, Priority)}
 
 
 def settings_of(orders: Iterable[Order]) -> list[Setting] | None:
@@ -259,9 +299,7 @@ def dropped(orders: Iterable[Order], k: int, born_ks: Mapping[int, int]) -> dict
     return {
         action.track: order.n
         for order in orders
-        if isinstance(action := order.action, DropTrack)
-        and order.k <= k
-        and born_ks.get(action.track, order.k) + 1 < order.k
+        if isinstance(action := order.action, DropTrack) and order.k <= k and _was_there(order, action.track, born_ks)
     }
 
 
@@ -285,12 +323,13 @@ def _word(name: str, value: str | float) -> str:
 
 # Of each kind: how it is written, and the fields of what is written, a number each but for WORDS. What stands in
 # brackets may be left out.
-_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Setting | Pause | Resume | EndRun]
+_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Priority | Setting | Pause | Resume | EndRun]
 FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
     "power": (PowerLimit, "power SHARE", ("share",)),
     "sector": (SectorSearch, "sector blank|normal|double FROM TO", ("search", "from_deg", "to_deg")),
     "look": (Look, "look BEARING DWELLS SHARE", ("bearing_deg", "dwells", "share")),
     "drop": (DropTrack, "drop TRACK", ("track",)),
+    "priority": (Priority, "priority TRACK WEIGHT", ("track", "weight")),
     "set": (Setting, "set strategy|rule|objective VALUE", ("key", "value")),
     "pause": (Pause, "pause [DWELLS]", ("dwells",)),
     "resume": (Resume, "resume", ()),

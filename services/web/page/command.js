@@ -36,6 +36,7 @@ export class Command {
     byId("sector-drag").addEventListener("click", () => this.turn("sector"));
     byId("look-aim").addEventListener("click", () => this.turn("look"));
     byId("look-send").addEventListener("click", () => this.look());
+    byId("priority-set").addEventListener("click", () => this.send(`priority ${view.target} ${value("priority")}`));
     byId("drop").addEventListener("click", () => this.send(`drop ${view.target}`));
     byId("end").addEventListener("click", () => this.send("end"));
     byId("end-dialog").addEventListener("close", ({ target }) => {
@@ -66,6 +67,8 @@ export class Command {
     put(byId("command-title"), view.run === null ? "Command" : `Command ${view.run}`);
     const drop = byId("drop");
     drop.disabled = view.target === null;
+    byId("priority-set").disabled = view.target === null;
+    put(byId("track-title"), view.target === null ? "Chosen track" : `Track ${view.target}`);
     put(drop, view.target === null ? "Drop the chosen track" : `Drop track ${view.target}`);
     if (this.token && !this.panel.hidden) this.describe();
     this.mark();

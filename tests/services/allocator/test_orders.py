@@ -16,11 +16,14 @@ from cogradar.shared.protocol.orders import (
     Look,
     Order,
     PowerLimit,
+    Priority,
     SectorSearch,
     Setting,
     nu_of,
 )
 from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.waveform import beampattern
 from tests.services.loop import checkpoint, plans, scans, smoke_start, waveforms
 from tests.services.loop import play as played
 from tests.skies import sky_start, small_sky
@@ -118,6 +121,49 @@ def test_a_rule_of_looking_acts_after_its_dwell_and_an_objective_in_it() -> None
         for said in (played(start), _played(start, objective))
     )
     assert min(k for k in plain if plain[k] != other[k]) == K
+
+
+@pytest.mark.parametrize(("start", "most"), [(smoke_start(dwells=20), 1.001), (sky_start(BEAMS, dwells=20), 2.5)])
+@pytest.mark.parametrize("weight", [4.0, 0.5])
+def test_a_priority_multiplies_what_is_wanted_of_its_track_from_its_dwell_on(
+    start: RunStart, most: float, weight: float
+) -> None:
+    """Max-min of a known number does exactly so; detections of an unknown one where power is scarce do more."""
+    undisturbed = played(start)
+    known = {plan.target for plan in plans(undisturbed) if plan.k == K - 2 and plan.confirmed is not False}
+    first, other, *_ = sorted(known)
+    said = _played(start, Priority(track=first, weight=3.0), Priority(track=first, weight=weight))
+    before, after = waveforms(undisturbed), waveforms(said)
+    assert [one for one in after if one.k + 1 < K] == [one for one in before if one.k + 1 < K]
+    echoes = []
+    for one in (next(one for one in sent if one.k + 1 == K) for sent in (before, after)):
+        ids = [first, other] if one.roster is None else one.roster.ids.tolist()
+        lit = bin_centres(start.scenario["radar"]["array"]["n_bin"])[one.beams] if one.nus is None else one.nus
+        towards = beampattern(0.0, one.factor.astype(np.complex128), lit[:, 0])
+        echoes.append(towards[ids.index(first)] / towards[ids.index(other)])
+    ratio = echoes[1] / echoes[0]
+    assert 0.999 <= ratio / weight <= most
+    assert (ratio > 1.0) == (weight > 1.0)
+    obeyed = [one.orders.tolist() for one in after if one.orders is not None]
+    assert obeyed == [[2]] * len(obeyed)  # the later one
+    last = max(plan.k for plan in plans(said) if plan.target == first)
+    assert [one.k + 1 for one in after if one.orders is not None] == list(range(K, last + 2))
+
+
+def test_a_priority_ends_with_its_track_and_is_none_of_one_that_begins_later() -> None:
+    start = sky_start(BEAMS, dwells=20)
+    undisturbed = played(start)
+    roster = _roster(scans(undisturbed)[-1])
+    later = roster.ids[roster.born_k >= K - 1].tolist()
+    assert later
+    assert waveforms(_played(start, *(Priority(track=m, weight=9.0) for m in later))) == waveforms(undisturbed)
+    first = int(roster.ids[0])
+    priority, drop = Priority(track=first, weight=9.0), DropTrack(track=first)
+    said = waveforms(played(start, orders=[Order(n=1, k=K, action=priority), Order(n=2, k=14, action=drop)]))
+    assert {one.k + 1: one.orders.tolist() for one in said if one.orders is not None} == {
+        **{k: [1] for k in range(K, 14)},
+        14: [2],
+    }
 
 
 def test_a_track_that_is_dropped_is_gone_and_its_target_may_begin_another() -> None:

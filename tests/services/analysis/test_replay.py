@@ -22,10 +22,12 @@ from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.messages import Command, Message, Plan, RunStart, Scan, Waveform
-from cogradar.shared.protocol.orders import DropTrack
+from cogradar.shared.protocol.orders import MAX_ORDERS, DropTrack, Order, Priority
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode
+from tests.services.loop import play, scans
+from tests.skies import sky_start
 
 DWELLS, TRACKS = 70, 2  # more than a core gets between two checkpoints
 AT = 40  # dwell k that is changed
@@ -103,6 +105,14 @@ def test_a_run_that_was_cut_and_commanded_replays_from_its_first_dwell(
     monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AT // 2)
     monkeypatch.setattr(module, "ACKNOWLEDGE_EVERY", 8)
     assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - AT)
+
+
+def test_of_priorities_a_replay_tells_those_whose_tracks_are_there() -> None:
+    """A run without an end has more of them than a checkpoint holds."""
+    scan = scans(play(sky_start("radar.search.beams=4", dwells=20)))[-1]
+    tracks = [0, *range(100, 100 + MAX_ORDERS)]
+    given = [Order(n=n, k=9, action=Priority(track=m, weight=2.0)) for n, m in enumerate(tracks, 1)]
+    assert module._obeyed(given, [scan], 19, by_clock=False) == given[:1]
 
 
 def test_a_plan_that_was_altered_is_found_at_its_dwell(file: Path, store: Store) -> None:

@@ -24,6 +24,7 @@ from cogradar.shared.protocol.orders import (
     Order,
     Pause,
     PowerLimit,
+    Priority,
     Resume,
     SectorSearch,
     Setting,
@@ -35,6 +36,7 @@ from tests.skies import sky_start
 AHEAD, DWELLS = 3, 400
 HALF = PowerLimit(share=0.5)
 ORTHOGONAL = Setting(key="strategy", value="orthogonal")
+PRIORITY = Priority(track=0, weight=2.0)
 BLANK = SectorSearch(from_deg=-90, to_deg=0, search="blank")
 
 
@@ -163,6 +165,26 @@ def test_an_order_to_drop_a_track_is_over_after_its_dwell_though_the_track_begin
     assert [order.n for order in next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10).orders] == []
 
 
+def test_a_priority_is_over_with_its_track_or_when_another_replaces_it(sky: list[Message]) -> None:
+    """Track 1 is dropped; that of track 2001 never comes; of a known number none ends."""
+    _, core = _begun(sky_start("radar.search.beams=4", dwells=30))
+    given: list[tuple[Action, int]] = [(PRIORITY, 5), (DropTrack(track=0), 7), (Priority(track=2000, weight=2.0), 6)]
+    for n, (action, at) in enumerate(given, 1):
+        core.handle(_command(n, action, at))
+    answers = [answer for message in sky for answer in core.handle(message)]
+    there = roster_of(next(one for one in sky if isinstance(one, Scan) and one.k == 9)).ids
+    left = [order.n for order in next(a for a in answers if isinstance(a, Checkpoint) and a.k >= 10).orders]
+    assert left == ([1, 2] if 0 in there else [])
+    run = RecordedRun(smoke_start(dwells=DWELLS))
+    for n in (1, 2):
+        _, replaced = run.grant(_command(n, PRIORITY.model_copy(update={"weight": float(n)})), n)
+        assert [one.n for one in replaced] == [1][: n - 1]
+    run.complete()
+    assert run.orders.end(99, 98, {}) == []
+    run.grant(_command(3, PRIORITY.model_copy(update={"weight": 1.0}), at=50), 3)
+    assert run.orders.end(60, 59, {}) == [2, 3]
+
+
 def test_no_drop_is_over_while_the_tracks_are_not_known() -> None:
     """In real time, with a recorder that has come back and has no scan of its first dwell."""
     start = sky_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
@@ -245,6 +267,11 @@ def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_t
         (sky_start(dwells=DWELLS), [Setting(key="objective", value="max-min")], "no supported combination; nearest: "),
         (sky_start(dwells=DWELLS), [BLANK, ORTHOGONAL], "no beams to steer for `sector blank"),
         (sky_start(dwells=DWELLS), [ORTHOGONAL, BLANK], "no beams to steer for `sector blank"),
+        (sky_start(dwells=DWELLS), [PRIORITY], "there is no track 1"),
+        (smoke_start(dwells=DWELLS), [Priority(track=9, weight=2.0)], "there is no track 10"),
+        (smoke_start(Strategy.UNIFORM, dwells=DWELLS), [PRIORITY], 'strategy is "uniform", which knows no priorities'),
+        (smoke_start(dwells=DWELLS), [ORTHOGONAL, PRIORITY], 'strategy is "orthogonal", which knows no priorities'),
+        (smoke_start(dwells=DWELLS), [PRIORITY, ORTHOGONAL], 'strategy is "orthogonal", which knows no priorities'),
         (
             sky_start(dwells=DWELLS),
             49 * [Look(bearing_deg=20, dwells=9, share=0.01)],

@@ -16,6 +16,7 @@ from cogradar.shared.protocol.orders import (
     Order,
     Pause,
     PowerLimit,
+    Priority,
     Resume,
     SectorSearch,
     Setting,
@@ -27,8 +28,10 @@ from cogradar.shared.protocol.orders import (
     is_paused,
     looks,
     nu_of,
+    of_tracks,
     parsed,
     power_share,
+    priorities,
     searches,
     text_of,
 )
@@ -41,6 +44,7 @@ ACTIONS: st.SearchStrategy[Action] = st.one_of(
     st.sampled_from((0.5, 0.7, 1.0)).map(lambda share: PowerLimit(share=share)),
     SECTORS.filter(lambda s: s[0] < s[1]).map(lambda s: SectorSearch(from_deg=s[0], to_deg=s[1], search=s[2])),
     st.sampled_from(("uniform", "orthogonal")).map(lambda value: Setting(key="strategy", value=value)),
+    st.tuples(st.integers(0, 1), st.sampled_from((1.0, 3.0))).map(lambda p: Priority(track=p[0], weight=p[1])),
     st.sampled_from((Pause(), Pause(dwells=3), Resume())),
     st.integers(1, 9).map(lambda dwells: Look(bearing_deg=10.0, dwells=dwells, share=0.1)),
 )
@@ -61,6 +65,7 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
     """One after the other, without leaving anything out."""
     begun = sorted((order for order in given_ if order.k <= k), key=lambda order: (order.k, order.n))
     share, times, seen, paused_until = 1.0, np.ones(NUS.size, int), list[Look](), 0
+    weights = {0: 1.0, 1: 1.0}
     for order in begun:
         match order.action:
             case PowerLimit():
@@ -72,6 +77,8 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
                 paused_until = order.k + (order.action.dwells or 100)
             case Resume():
                 paused_until = 0
+            case Priority():
+                weights[order.action.track] = order.action.weight
             case Look() if k < order.k + order.action.dwells:
                 seen.append(order.action)
             case _:
@@ -80,6 +87,7 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
         times[[0, -1]] = 0
     there = in_force(given_, k)
     assert power_share(there) == share
+    assert {0: 1.0, 1: 1.0} | priorities(there) == weights
     assert is_paused(there) == (k < paused_until)
     assert searches(there, NUS).tolist() == times.tolist()
     is_blanked = not searches(there, np.array([nu_of(10.0)]))[0]
@@ -107,6 +115,8 @@ def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
     orders = [Order(n=3, k=7, action=DropTrack(track=4)), Order(n=4, k=9, action=EndRun())]
     assert [dropped(orders, k, {4: 5}) for k in (6, 7, 8)] == [{}, {4: 3}, {4: 3}]
     assert [dropped(orders, k, {3: 0, 4: 6}) for k in (7, 8)] == [{}, {}]
+    wanted = [Order(n=1, k=7, action=Priority(track=4, weight=2.0))]
+    assert [born_ks for born_ks in ({4: 5}, {4: 6}, {3: 0}, None) if of_tracks(wanted, born_ks)] == [{4: 5}, None]
     assert [ends(orders, k) for k in (8, 9)] == [False, True]
     assert in_force(orders, 20) == []
 
@@ -118,6 +128,7 @@ def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
         ("sector blank -20.5 10", SectorSearch(from_deg=-20.5, to_deg=10, search="blank")),
         ("look 12.123456789 20 0.2", Look(bearing_deg=12.123456789, dwells=20, share=0.2)),
         ("drop 3", DropTrack(track=2)),
+        ("priority 3 2.5", Priority(track=2, weight=2.5)),
         ("set rule mode", Setting(key="rule", value="mode")),
         ("pause", Pause()),
         ("pause 20", Pause(dwells=20)),
@@ -144,6 +155,8 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
         ("look 95 20 0.2", "bearing_deg = 95.0: must be"),
         ("drop 0", "track = 0: must be >= 1"),
         ("drop 1.5", "track = 1.5: must be a number"),
+        ("priority 3 11", "weight = 11.0: must be a number >= 0.1 and <= 10.0"),
+        ("priority 0 2", "track = 0: must be >= 1"),
         ("set rule oracle", "rule must be one of pomcp, mode, "),
         ("set belief gaussian", "key = 'belief': must be"),
         ("set strategy", "set strategy: must be set strategy|rule|objective VALUE"),

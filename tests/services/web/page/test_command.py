@@ -123,12 +123,15 @@ def test_a_look_goes_where_the_scope_is_clicked(commander: Page) -> None:
     expect(commander.locator("#legend")).to_contain_text("commanded look")
 
 
-def test_the_chosen_track_is_dropped(commander: Page) -> None:
+def test_the_chosen_track_comes_first_and_is_dropped(commander: Page) -> None:
     drop = commander.locator("#drop")
     expect(drop).to_be_disabled()
     commander.locator("#tracks tbody tr[data-state=detected]").first.get_by_role("button").click()
     expect(drop).to_have_text(re.compile(r"^Drop track \d+$"))
     track = drop.inner_text().split()[-1]
+    commander.get_by_role("button", name="Priority").click()
+    expect(_answer(commander)).to_contain_text(f"priority {track} 4: granted from dwell")
+    expect(commander.locator("#orders li")).to_have_text(re.compile(rf"^priority {track} 4 since dwell \d+, tower$"))
     drop.click()
     expect(_answer(commander)).to_contain_text(f"drop {track}: granted from dwell")
     expect(commander.locator(f"#tracks tr[data-target='{track}']")).to_have_count(0)
