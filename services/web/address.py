@@ -118,7 +118,11 @@ def commanders() -> dict[str, str]:
             raise BadInput(
                 f"{source}: must be NAME:TOKEN, a name of letters and digits; the token must be {_FORM_TEXT}"
             )
+        if found.get(shown, name) != name:
+            raise BadInput(f"{source}: {found[shown]} and {name} have the same token: each must have its own")
         found[shown] = name
+    if name := found.get(token(), ""):
+        raise BadInput(f"{source}: the token of {name} is that of all who read, {TOKEN_VARIABLE}: must be another one")
     return found
 
 

@@ -15,7 +15,7 @@ from cogradar.services.errors import BadInput
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.web.address import COMMAND_FILE_VARIABLE, COMMAND_VARIABLE, Admitted, commanders
+from cogradar.services.web.address import COMMAND_FILE_VARIABLE, COMMAND_VARIABLE, TOKEN_VARIABLE, Admitted, commanders
 from cogradar.services.web.app import create
 from cogradar.shared.protocol.events import Tick
 from tests.services.loop import smoke_start
@@ -198,3 +198,12 @@ def test_commanders_are_read_from_the_environment_or_a_file(tmp_path: Path, monk
         file.write_text(text)
         with pytest.raises(BadInput, match=r"must be NAME:TOKEN"):
             commanders()
+    for text, said in (
+        (f"tower:{TOKEN},me:{TOKEN}", "tower and me have the same token"),
+        (f"a:{READER}", "all who read"),
+    ):
+        monkeypatch.setenv(TOKEN_VARIABLE, READER)
+        file.write_text(text)
+        with pytest.raises(BadInput, match=said) as caught:
+            commanders()
+        assert not {TOKEN, READER} & set(str(caught.value).split())
