@@ -43,10 +43,10 @@ export class Alarms {
   }
 }
 
-// Why nothing comes: roles without a process, and a disk without room.
+// Why nothing comes: roles without a process, and a recorder that cannot write.
 function reasonsOf(processes) {
   const missing = processes.filter((one) => !one.alive && !one.name).map((one) => `no ${one.role}`);
-  const full = processes.filter((one) => one.full).map((one) => `the disk of ${one.name} is full`);
+  const full = processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full or its store is gone`);
   return [...full, ...missing];
 }
 
