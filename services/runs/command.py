@@ -8,6 +8,8 @@ import uuid
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from pydantic import ValidationError
+
 from cogradar.services.certs import own
 from cogradar.services.delivery.order_book import commands_kept_free
 from cogradar.services.errors import BadInput, NoMetrics, RunFailed
@@ -17,6 +19,7 @@ from cogradar.shared.protocol.messages import Command
 from cogradar.shared.protocol.orders import parsed
 from cogradar.shared.protocol.permissions import COMMANDER
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.faults import explain
 from cogradar.shared.wire.queries import NoAnswer, ask
 from cogradar.shared.wire.session import Session, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
@@ -36,12 +39,15 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
         raise BadInput(str(error)) from None
     certificate = own.check(endpoint, (Role.OPERATOR, COMMANDER))
     try:
+        command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
+    except ValidationError as error:  # what is no name of a run
+        raise BadInput(explain(error, Command)) from None
+    try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
-        command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
         _check(session, command)
         row = _confirmed(session, lambda: bus.publish(command), command)
     except NoAnswer:

@@ -16,9 +16,11 @@ import pytest
 from cogradar.services import kernels
 from cogradar.services.analysis.replay import replay
 from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.client import open_store
 from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.command import command_on
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.web.address import COMMAND_VARIABLE
 from cogradar.shared.protocol.messages import RunStart
@@ -50,6 +52,12 @@ def _until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
 def _command(run: str, action: str, endpoint: str) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "cogradar", "command", run, *action.split(), "--connect", endpoint]
     return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False, env=os.environ)
+
+
+@pytest.mark.parametrize("run", ["", "a b", "--"])
+def test_what_is_no_name_of_a_run_is_said(run: str) -> None:
+    with pytest.raises(BadInput, match=f"run = {run!r}: "):
+        command_on("tcp/127.0.0.1:1", run, ["end"])
 
 
 @pytest.mark.zenoh
