@@ -27,8 +27,9 @@ TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file
 ELEMENT_ERRORS = ["gain_db", "phase_deg"]  # header of a file with errors of antennas
 MAX_ELEMENTS = 512
 TRAJECTORIES = (TRAJECTORY, [*TRAJECTORY, "z_km"])
-NAME = r"^[a-z0-9][a-z0-9-]{0,19}$"  # of a scenario
-NAME_IN_WORDS = "1 to 20 lower-case letters, digits and hyphens, the first no hyphen"
+MAX_NAME = 20
+NAME = rf"^[a-z0-9][a-z0-9-]{{0,{MAX_NAME - 1}}}$"  # of a scenario
+NAME_IN_WORDS = f"1 to {MAX_NAME} lower-case letters, digits and hyphens, the first no hyphen"
 MAX_CHAIN = 8  # files, each of which extends the next
 SETTING = "must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
 
@@ -129,8 +130,8 @@ def read(name_or_path: str) -> Document:
         chain.append((path, tables))
         if "extends" not in tables:
             break
-        if "name" not in tables and re.fullmatch(NAME, path.stem):
-            tables["name"] = path.stem  # two scenarios that differ should not share a name
+        if "name" not in tables and (name := _name_after(path)):
+            tables["name"] = name  # two scenarios that differ should not share a name
         wanted = tables.pop("extends")
         by, folder = f"{path}: extends = {wanted!r}: ", path.parent
         if not isinstance(wanted, str) or "\0" in wanted:  # which no path may hold
@@ -206,6 +207,11 @@ def _check_keys(table: dict[str, Any], name: str = "") -> None:
 
 
 _DOT = re.compile(r"[\w\"'-][ \t]*\.[ \t]*(?=[\w\"'-])")  # between parts of a key
+
+
+def _name_after(path: Path) -> str:
+    """What the name of a scenario may have of its file's; empty if nothing is left."""
+    return re.sub("[^a-z0-9]+", "-", path.stem.lower()).strip("-")[:MAX_NAME].rstrip("-")
 
 
 def _no_such(folder: Path, wanted: str) -> str:

@@ -103,7 +103,7 @@ function stateOf(one, before) {
   if (one.is_over) return "ended";
   if (one.confirmed === false) return "tentative";
   if (one.confirmed && one.x_hat === null) return "late";
-  if (one.detected === null) return "absent";
+  if (one.detected === null) return (one.x ?? one.x_hat) === null ? "absent" : "unmeasured";
   if (one.x_hat === null) return "no track";
   if ((before ?? one).lost && isOn(one)) return "found";
   if (one.lost) return "lost";
@@ -122,6 +122,7 @@ export const STATE_TEXT = {
   found: "beam back",
   "no track": "no track",
   absent: "not there",
+  unmeasured: "not measured",
   tentative: "tentative",
   ended: "ended",
   late: "no plan",

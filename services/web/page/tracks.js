@@ -92,10 +92,11 @@ function ofTracks({ targets, picture }, states) {
 }
 
 function ofTargets({ targets }, states) {
-  const [lost, absent] = [count(states, "lost"), count(states, "absent")];
+  const [lost, absent, unmeasured] = ["lost", "absent", "unmeasured"].map((state) => count(states, state));
   const detected = targets.filter((one) => one.detected).length;
   const truth = targets.some((one) => one.x !== null || one.detected === null) ? "" : " (no truth: a detection is one in the track's bin)";
-  return `${detected} of ${targets.length - absent} detected${lost ? `, ${lost} lost` : ""}${truth}`;
+  const none = unmeasured ? `, ${unmeasured} not measured` : "";
+  return `${detected} of ${targets.length - absent - unmeasured} detected${none}${lost ? `, ${lost} lost` : ""}${truth}`;
 }
 
 // Scrolls the table, never the page.

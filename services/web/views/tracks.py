@@ -57,7 +57,12 @@ def track_of(
         "is_over": False,
         "in_doubt": False,
     }
-    return found if plan is None else found | _planned(plan, target)
+    if plan is None:
+        return found
+    found |= _planned(plan, target)
+    if not found["detected"] and known.scan_rows.read(scan).is_unmeasured(row):
+        found["detected"] = None
+    return found
 
 
 def _planned(plan: MessageFields, target: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.limits import MIXTURE_STATES
 from cogradar.shared.signal.array import spatial_frequency
-from tests.services.births import FAR, HERE, THERE, UNKNOWN, roster, scan, start_of, waveform
+from tests.services.births import FAR, HERE, THERE, UNKNOWN, plan, roster, scan, start_of, waveform
 from tests.services.loop import play
 from tests.services.web.conftest import FAST_S, ask, record
 from tests.services.web.unknown_run import DWELLS, sent
@@ -150,6 +150,16 @@ def test_a_track_that_its_waveform_does_not_have_is_not_called_late(store: Metri
     assert (found["late"], found["share"]) == (False, 0.0)
 
 
+def test_a_track_whose_looks_were_not_measured_was_not_missed(store: MetricsCore) -> None:
+    """A pause, a lost packet: whether it would have been detected is not known."""
+    here = roster({0: HERE, 1: THERE})
+    seen, missed = vars(scan(3, here)) | {"roster": vars(here)}, (vars(plan(3, 1, THERE, detected=False)), None)
+    known, lit = facts(store.store, "by-hand"), seen["beam_nus"][1, :1]
+    assert track_of(known, seen, None, 1, missed)["detected"] is False
+    assert track_of(known, seen | {"unmeasured": lit}, None, 1, missed)["detected"] is None
+    assert track_of(known, seen | {"unmeasured": lit}, None, 0, missed)["detected"] is False
+
+
 def test_a_track_whose_first_scans_are_missing_began_with_a_later_one(
     store: MetricsCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,9 +176,9 @@ def test_a_track_whose_first_scans_are_missing_began_with_a_later_one(
 def test_particles_of_a_track_are_those_of_its_planner(store: MetricsCore, played: list[Message]) -> None:
     plans = {m.target: m for m in played if isinstance(m, Plan) and m.t == PLAYED}
     assert plans
-    for track, plan in plans.items():
+    for track, told in plans.items():
         cloud = _get(store, f"played/particles?track={track + 1}")
         assert len(cloud["x"]) == MIXTURE_STATES
-        assert [np.mean(cloud["x"]), np.mean(cloud["y"])] == pytest.approx(plan.estimate[[0, 2]].tolist(), abs=1e-3)
+        assert [np.mean(cloud["x"]), np.mean(cloud["y"])] == pytest.approx(told.estimate[[0, 2]].tolist(), abs=1e-3)
     refused = ask(create(store, None, FAST_S), f"/api/v1/runs/played/particles?track=99&dwell={PLAYED}")
     assert (refused.status_code, "no track 99" in refused.json()["detail"]) == (404, True)

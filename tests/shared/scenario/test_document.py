@@ -36,6 +36,21 @@ def changed(scenario: Scenario, **changes: Any) -> Scenario:
     return Scenario.model_validate(document)
 
 
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("night", "night"),
+        ("Paris_2018 evening", "paris-2018-evening"),
+        ("a" * 30, "a" * 20),
+        ("b" * 19 + "_c", "b" * 19),
+        ("é", "smoke"),
+    ],
+)
+def test_a_scenario_is_named_after_its_file_as_far_as_a_name_may(tmp_path: Path, file: str, name: str) -> None:
+    """Runs of two skies of one base are told apart."""
+    assert load(str(saved(tmp_path, **{file: 'extends = "smoke"\n'})[file])).name == name
+
+
 def test_a_file_has_what_it_leaves_out_from_the_one_that_it_extends(tmp_path: Path) -> None:
     (tmp_path / "inner").mkdir()
     base = saved(tmp_path, base='extends = "smoke"\n[radar.array]\nn_tx = 8\nn_bin = 12\n')["base"]
