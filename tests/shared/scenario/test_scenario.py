@@ -141,7 +141,7 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
         # wrong type: nothing is converted silently
         ("n_tx = 16 ", "n_tx = 16.0 #", f"radar.array.n_tx = 16.0: {INTEGER}"),
         ("n_tx = 16 ", "n_tx = true #", f"radar.array.n_tx = True: {INTEGER}"),
-        ("n_tx = 16 ", 'n_tx = "16" #', f"radar.array.n_tx = '16': {INTEGER}"),
+        ("n_tx = 16 ", 'n_tx = "16" #', f"radar.array.n_tx = '16': {INTEGER}; write 16, without quotes and unit"),
         ("dwells = 12", 'dwells = "12"', "dwells = '12': must be an integer >= 1 and <= 1000000 or \"unlimited\""),
         (STATE, '[50.0, "a", 20.0, 0.1]', "world.targets #2, state #2 = 'a': must be a number"),
         # out of range
