@@ -54,6 +54,12 @@ PROOFS = (
         "cogradar chaos crossing --runs 10 --dwells 120",
     ),
     Proof(
+        "kills-in-real-time",
+        "In real time, too, any process may be killed: no confirmed track ends because of it.",
+        "2 runs of 500 dwells at 4 a second, aircraft that nobody announced, 24 kills a minute",
+        "cogradar chaos traffic --pace realtime --rate 4 --runs 2 --dwells 500 --kills 24",
+    ),
+    Proof(
         "faults",
         "Disks, links, processes and clocks may fail together, at any moment.",
         "100 000 schedules of one to eight faults",

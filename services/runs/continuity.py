@@ -38,9 +38,10 @@ def continuity(journal: Journal, start: RunStart, completeness: float | None) ->
         ended |= {track for track, (_, is_last) in planned.items() if track not in ids and not is_last}
         planned = {track: known for track, known in planned.items() if track in ids}
         for plan in plans:
-            if plan.target in confirmed:
+            if plan.target in confirmed or plan.target in planned:  # one that is doubted may end by its belief, too
                 last_k, _ = planned.get(plan.target, (k - 1, False))
-                longest, planned[plan.target] = max(longest, k - last_k - 1), (k, plan.status == "ended")
+                longest = max(longest, k - last_k - 1) if plan.target in confirmed else longest
+                planned[plan.target] = (k, plan.status == "ended")
         for track in confirmed:
             longest = max(longest, k - planned.setdefault(track, (k, False))[0])
         seen |= confirmed

@@ -22,13 +22,17 @@ def journal() -> Iterator[Journal]:
         yield found
 
 
-def _of(journal: Journal, is_lost: Callable[[Message], bool] = lambda _: False) -> Continuity:
-    """Of the run by hand at two dwells a second, without the messages that are lost."""
+def _of(journal: Journal, is_lost: Callable[[Message], bool] = lambda _: False, doubted_k: int = -1) -> Continuity:
+    """Of the run by hand at two dwells a second, without the messages that are lost; from a dwell on its third track is
+    tentative again.
+    """
     start, *messages = sent()
     assert isinstance(start, RunStart)
     start = start.model_copy(update={"rate_hz": RATE_HZ})
     journal.add_run(start)
     for message in messages:
+        if isinstance(message, Scan) and message.roster is not None and message.k >= doubted_k >= 0:
+            message.roster.confirmed[message.roster.ids == 2] = False
         if isinstance(message, Plan | Scan) and not is_lost(message):
             item = message.target + 1 if isinstance(message, Plan) else 0
             journal.add_message(start.run, message.k, BY_MESSAGE[type(message)].name, item, encode(message))
@@ -43,6 +47,16 @@ def test_one_that_goes_without_a_word_is(journal: Journal) -> None:
     """The third track flies away with dwell 9, and here the plan that says so is never made."""
     found = _of(journal, lambda message: isinstance(message, Plan) and message.target == 2 and message.k == 9)
     assert (found.tracks, found.ended) == (2, 1)
+
+
+def test_a_track_that_is_doubted_before_its_planner_ends_it_is_no_loss(journal: Journal) -> None:
+    """A target left the field of view: four dwells later its belief ended the track."""
+    assert _of(journal, doubted_k=9).ended == 0
+
+
+def test_one_that_is_doubted_and_goes_without_a_word_is(journal: Journal) -> None:
+    gone = _of(journal, lambda message: isinstance(message, Plan) and (message.target, message.k) == (2, 9), 9)
+    assert gone.ended == 1
 
 
 def test_the_longest_time_without_a_plan(journal: Journal) -> None:
