@@ -8,7 +8,7 @@ from cogradar.services.skies import files
 from cogradar.services.skies.place import Place
 from cogradar.services.skies.readers.report import Tally
 from cogradar.services.skies.recorded import Recording, recorded, recording
-from cogradar.services.skies.selection import Selection, count
+from cogradar.services.skies.selection import MOST_AIRCRAFT, Selection, count
 from cogradar.services.skies.traffic import traffic
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.files import load
@@ -41,7 +41,7 @@ class Asked(NamedTuple):
         if self.aircraft is None:
             return AIRCRAFT
         if (n := count(self.aircraft)) is None:
-            raise BadInput(f"--aircraft {self.aircraft}: must be 1 .. 500; names of aircraft need --from")
+            raise BadInput(f"--aircraft {self.aircraft}: must be 1 .. {MOST_AIRCRAFT}; names of aircraft need --from")
         return n
 
     @property

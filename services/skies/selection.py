@@ -11,7 +11,7 @@ from cogradar.services.errors import BadInput
 from cogradar.services.skies.readers.report import Report, Tally, Why
 from cogradar.services.skies.readers.table import Unread, seconds
 
-MOST_AIRCRAFT = 500  # a larger number is the name of one
+MOST_AIRCRAFT = 999  # a larger number is the name of one
 
 
 @dataclass(frozen=True)
