@@ -50,13 +50,13 @@ PROOFS = (
     Proof(
         "kills-of-a-sky",
         "So may they while tracks begin, meet and end.",
-        "10 runs of 120 dwells, two aircraft that nobody announced",
+        "10 runs of 120 dwells, two aircraft that were not announced to the radar",
         "cogradar chaos crossing --runs 10 --dwells 120",
     ),
     Proof(
         "kills-in-real-time",
         "In real time, too, any process may be killed: no confirmed track ends because of it.",
-        "2 runs of 500 dwells at 4 a second, aircraft that nobody announced, 24 kills a minute",
+        "2 runs of 500 dwells at 4 a second, an unknown number of aircraft, 24 kills a minute",
         "cogradar chaos traffic --pace realtime --rate 4 --runs 2 --dwells 500 --kills 24",
     ),
     Proof(
