@@ -41,6 +41,12 @@ class Displaced(NoRoom):
     """
 
 
+class Deposed(Failure):
+    """Another process took over the role of this one, which was frozen or cut off; this one has ended itself."""
+
+    exit_code = 4
+
+
 class NoMetrics(Failure):
     """Nobody answers questions; the text says where it was asked."""
 

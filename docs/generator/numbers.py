@@ -3,8 +3,8 @@
 import re
 
 from cogradar.services.metrics.processes import UP
+from cogradar.services.recorder.file.schema import MEMORY, SCHEMA_VERSION
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.schema import MEMORY, SCHEMA_VERSION
 from cogradar.shared.wire.exposition import METRICS
 from cogradar.shared.wire.meter import EDGES_S, FINE_EDGES_S
 from docs.generator.markdown import code, prose, table

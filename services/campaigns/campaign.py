@@ -23,8 +23,8 @@ from typing import Any
 from cogradar.services.campaigns.pool import Pool, interrupts_ignored, play_one
 from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.schema import Recording
 from cogradar.services.runs.run import ending
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart

@@ -15,7 +15,7 @@ from typing import Protocol
 from cogradar.services.errors import RunFailed
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import in_memory
-from cogradar.services.recorder.schema import Recording
+from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart

@@ -246,8 +246,8 @@ def _play_here(
 
 def _journal(store: str | None) -> "Journal":
     """A journal, opened before anything slow: a file that cannot be one, or is in use, is refused at once."""
+    from cogradar.services.recorder.file.schema import MEMORY
     from cogradar.services.recorder.journal import Journal
-    from cogradar.services.recorder.schema import MEMORY
 
     return Journal(store or MEMORY, owner="cogradar run")
 

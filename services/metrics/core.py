@@ -17,9 +17,9 @@ from cogradar.services.metrics.answers import NO_ROOM, answer
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.file.lock import inode_in_use, is_written
+from cogradar.services.recorder.file.schema import NoStoreYet
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.lock import inode_in_use, is_written
-from cogradar.services.recorder.schema import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message
 from cogradar.shared.wire.meter import Measures

@@ -10,8 +10,8 @@ from typing import Any
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected, whole
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import order_of
-from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Look, Order, Priority, SectorSearch, Setting, in_force, text_of
 from cogradar.shared.protocol.topics import BY_MESSAGE

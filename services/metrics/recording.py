@@ -3,7 +3,7 @@
 from typing import Any
 
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.schema import Recording
+from cogradar.services.recorder.file.schema import Recording
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from cogradar.services.errors import StoreFailed
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
+from cogradar.services.recorder.file.schema import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.services.recorder.journal import Journal, Unreadable
-from cogradar.services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
 

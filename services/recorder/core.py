@@ -11,11 +11,12 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, commands_kept_free
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import BY_USER
+from cogradar.services.recorder.file.database import deposed
+from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
-from cogradar.services.recorder.schema import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,
@@ -44,6 +45,19 @@ _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
 
+def led_by(journal: Journal, answers: Sequence[Message]) -> Sequence[Message]:
+    """The answers of the recorder that has this journal, with its epoch."""
+    return [answer.model_copy(update={"epoch": journal.epoch}) for answer in answers] if answers else answers
+
+
+def defer(journal: Journal, heard: Checkpoint) -> Sequence[Message]:
+    """Raise Deposed if a checkpoint is of a recorder that began after the one that has this journal."""
+    if heard.epoch > journal.epoch:
+        journal.rollback()
+        raise deposed(journal.epoch, heard.epoch, f"another recorder leads {heard.run}")
+    return ()
+
+
 class RecorderCore:
     """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file.
 
@@ -59,6 +73,7 @@ class RecorderCore:
         self._recalled = 0  # bytes, in this tick
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
         self._uncommitted_ticks = self._behind_ticks = 0
+        journal.lead()
         if resume:
             for run in journal.unfinished():
                 self._resume(run)
@@ -68,7 +83,10 @@ class RecorderCore:
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Journal a message; a checkpoint if enough is complete, a History if something is recalled."""
+        """Journal a message; a checkpoint if enough is complete, a History if something is recalled. Raises Deposed."""
+        return led_by(self._journal, self._answers(event))
+
+    def _answers(self, event: Event) -> Sequence[Message]:
         match event:
             case RunStart():
                 answers = self._begin(event)
@@ -82,6 +100,8 @@ class RecorderCore:
                 answers = self._recall(event) if self._knows(event.run) else ()
             case Tick():
                 answers = self._tick(event)
+            case Checkpoint():
+                answers = defer(self._journal, event)
             case _:
                 answers = ()
         return answers

@@ -12,11 +12,11 @@ import logging
 from collections.abc import Sequence
 
 from cogradar.services.errors import NoRoom
-from cogradar.services.recorder.core import MAX_RUNS, RecorderCore
+from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Event, Tick
-from cogradar.shared.protocol.messages import Command, Message, Refused, RunCancel, RunStart
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunCancel, RunStart
 from cogradar.shared.wire.meter import Measures
 
 LOOK_TICKS = 4  # between two looks whether there is room again
@@ -68,6 +68,7 @@ class Recorder:
     def _go_on(self, core: RecorderCore, event: Event) -> Sequence[Message]:
         self._looked += isinstance(event, Tick)
         if isinstance(event, Tick) and self._looked % LOOK_TICKS == 0:
+            self._journal.check_leads()
             self._journal.check_place()
         return core.handle(event)
 
@@ -86,6 +87,8 @@ class Recorder:
         """A look now and then whether there is room; if so, on from what is in the journal."""
         if isinstance(event, RunStart | Command):
             raise Refused(self.trouble)
+        if isinstance(event, Checkpoint):
+            return defer(self._journal, event)
         self._note(event)
         self._ticks += isinstance(event, Tick)
         if not isinstance(event, Tick) or self._ticks % LOOK_TICKS:
@@ -113,4 +116,4 @@ class Recorder:
                 continue  # it will be set aside
             if start is not None:
                 answers += RecordedRun(start, row["k"], row["t"], orders).checkpoint(held=True)
-        return answers
+        return led_by(self._journal, answers)

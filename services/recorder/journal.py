@@ -6,31 +6,15 @@ meanwhile, and see what is committed.
 
 import json
 import math
-import sqlite3
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cogradar.services.errors import INTERRUPTED, Displaced, Failure, NoRoom, StoreFailed
-from cogradar.services.recorder.lock import JournalLock
-from cogradar.services.recorder.schema import (
-    MEMORY,
-    STAMP,
-    Limit,
-    Place,
-    Recording,
-    connect,
-    displaced,
-    failure,
-    has_room,
-    make,
-    place_of,
-    refusal,
-    settle,
-)
+from cogradar.services.errors import INTERRUPTED, StoreFailed
+from cogradar.services.recorder.file.database import Database
+from cogradar.services.recorder.file.schema import Recording
 from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
-from cogradar.shared.wire.meter import Durations
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
@@ -58,74 +42,8 @@ def order_of(row: dict[str, Any]) -> Order:
     return Order.model_validate(row | {"action": json.loads(row["action"])})
 
 
-class Journal:
-    """One SQLite file (or ":memory:")."""
-
-    def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
-        """A writer takes the file's lock in the name of `owner`, and makes a new or empty file a journal.
-
-        Raises BadInput, with the file left as it was, if it is something else or another process writes it.
-        """
-        self.path = path
-        self.commits = Durations()
-        self._place = Place()
-        self._db = connect(path, read_only=read_only)
-        self._limit = Limit(self._db, path)
-        self._lock: JournalLock | None = None
-        try:
-            if not read_only and path != MEMORY:
-                self._lock = JournalLock(path, owner)
-            if not read_only:
-                make(self._db, path)
-        except (Failure, sqlite3.Error) as error:
-            self.rollback()
-            self.close()
-            raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
-        self._db.row_factory = sqlite3.Row
-        self._place = {} if read_only else place_of(path)
-
-    def close(self) -> None:
-        """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
-        try:
-            self.commit()
-        finally:
-            if self._lock is not None and not displaced(self.path, self._place):  # whose files they are is unknown
-                settle(self._db)
-            self._db.close()
-            if self._lock is not None:
-                self._lock.release()
-
-    # Writing: statements gather in one transaction until `commit`.
-
-    @property
-    def has_uncommitted(self) -> bool:
-        """Whether something was written that a power cut would undo."""
-        return self._db.in_transaction
-
-    def commit(self) -> None:
-        """Make durable what was written."""
-        if self._db.in_transaction:
-            self.check_place()
-            with self.commits.timed():
-                self._execute("COMMIT")
-
-    def rollback(self) -> None:
-        """Undo what was written since the last commit."""
-        if self._db.in_transaction:
-            self._execute("ROLLBACK")
-
-    def check_place(self) -> None:
-        """Raises Displaced if its files are no longer where they were, or cannot be written."""
-        if fault := displaced(self.path, self._place):
-            raise Displaced(f"{fault} while it was in use: put it back as it was, or restart on the file that is there")
-
-    def check_room(self) -> None:
-        """Raises NoRoom unless it can be written to."""
-        self.check_place()
-        if not has_room(self.path):
-            raise NoRoom(f"{self.path}: the disk is full")
-        self.write(STAMP)
-        self.commit()
+class Journal(Database):
+    """The rows of runs. Written: what gathers in one transaction until `commit`; read: what is committed, and that."""
 
     def add_run(self, start: RunStart) -> None:
         """Record that a run began; a repeated start changes nothing."""
@@ -257,26 +175,6 @@ class Journal:
         self.write("INSERT INTO campaign VALUES (?)", json.dumps(document, sort_keys=True))
         self.commit()
 
-    def write(self, statement: str, *parameters: Any) -> int:
-        """Execute a statement in the transaction that `commit` ends; the number of rows that it changed."""
-        if not self._db.in_transaction:
-            self._execute("BEGIN IMMEDIATE")
-        return self._execute(statement, parameters).rowcount
-
-    # Reading: what is committed, and what this process has written.
-
-    def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """Rows of a SELECT, as dictionaries."""
-        return [dict(row) for row in self.rows(query, parameters)]
-
-    def rows(self, query: str, parameters: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """The same as they come: many numbers are read in half the time."""
-        self._limit.begin()
-        try:
-            return self._db.execute(query, tuple(parameters)).fetchall()
-        except sqlite3.Error as error:
-            raise failure(self.path, error) from None
-
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
         query = "SELECT payload FROM message WHERE run = ? AND k = ? AND topic = ? AND item = ?"
@@ -295,12 +193,7 @@ class Journal:
             f"SELECT k, topic, payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
             " ORDER BY k, topic, item"
         )
-        self._limit.begin()
-        try:
-            for row in self._db.execute(query, (run, from_k, end, *topics)):
-                yield tuple(row)
-        except sqlite3.Error as error:
-            raise failure(self.path, error) from None
+        yield from map(tuple, self.each(query, (run, from_k, end, *topics)))
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
@@ -352,33 +245,6 @@ class Journal:
         rows = self.read("SELECT document FROM campaign")
         return json.loads(rows[0]["document"]) if rows else None
 
-    # Temporary tables belong to this connection only, whatever may be written to the file.
-
-    def create_temporary(self, definition: str) -> None:
-        """Create a temporary table or view."""
-        self._execute(f"CREATE TEMP {definition}")
-
-    def add_temporary(self, table: str, rows: Sequence[dict[str, Any]]) -> None:
-        """Insert rows of equal columns into a temporary table; one of the same key is replaced."""
-        for first in rows[:1]:
-            marks = ", ".join(f":{name}" for name in first)
-            self.write_temporary(f"INSERT OR REPLACE INTO {table} ({', '.join(first)}) VALUES ({marks})", rows)
-
-    def write_temporary(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
-        """Execute a statement on a temporary table for each of these rows."""
-        is_ours = not self._db.in_transaction  # else the rows wait for somebody else's commit, but can be read
-        if is_ours:
-            self._execute("BEGIN")
-        self._limit.begin()
-        try:
-            self._db.executemany(statement, rows)
-        except sqlite3.Error as error:
-            if is_ours:  # or what was read would stay pinned
-                self._execute("ROLLBACK")
-            raise failure(self.path, error) from None
-        if is_ours:
-            self.commit()
-
     def _end(self, condition: str, values: tuple[str, ...], status: str, reason: str, digest: str | None) -> None:
         self.write(f"DELETE FROM snapshot WHERE run IN (SELECT run FROM run WHERE {condition})", *values)
         self.write(
@@ -395,10 +261,3 @@ class Journal:
             self.write(f"INSERT {where} ({', '.join(row)}) VALUES ({','.join('?' * len(row))})", *row.values())
             for row in rows
         )
-
-    def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
-        self._limit.begin()
-        try:
-            return self._db.execute(statement, parameters)
-        except sqlite3.Error as error:
-            raise failure(self.path, error) from None

@@ -10,7 +10,7 @@ import numpy as np
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.messages import Message, RunStart, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunStart, Waveform
 from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
@@ -36,6 +36,34 @@ class Dwell(NamedTuple):
     def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission) -> "Dwell":
         """A transmission of dwell k at clock t, `at`."""
         return cls(run, at_s, *at, waveform.isotropic, waveform.factor.astype(np.complex64).tobytes())
+
+
+class Told:
+    """What any process was told to be acknowledged: no death of a recorder takes it back."""
+
+    def __init__(self) -> None:
+        self._k: dict[str, int] = {}  # dwells, by run
+        self.is_restored = False  # a journal that was restored lacks some
+
+    def hear(self, checkpoint: Checkpoint, journal: Journal | None) -> None:
+        """A process heeds a checkpoint. Raises Violated if the journal does not have what it says."""
+        if checkpoint.k > self._k.get(checkpoint.run, 0):
+            self._k[checkpoint.run] = checkpoint.k
+            self.check(journal)
+
+    def check(self, journal: Journal | None) -> None:
+        """Raises Violated if a journal lacks a dwell. None: its recorder is dead, and its next one is looked at."""
+        if journal is None or self.is_restored:
+            return
+        for run, k in self._k.items():
+            rows = journal.rows("SELECT acknowledged_k, kept_k, rate_hz FROM run WHERE run = ?", [run])
+            acknowledged, kept_k, rate_hz = tuple(rows[0]) if rows else (0, 0, 0.0)
+            scans = "SELECT COUNT(*) FROM message WHERE run = ? AND topic = 'scan' AND k < ?"
+            (found,) = journal.rows(scans, [run, k])
+            is_whole = found[0] >= k - kept_k or pacing_at(rate_hz).loses_dwells
+            if acknowledged < k or not is_whole:
+                there = f"acknowledges {acknowledged} and has {found[0]} scans of them"
+                raise Violated(f"{run}: {k} dwells were said to be acknowledged, the journal {there}")
 
 
 def check_power(

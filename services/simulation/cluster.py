@@ -13,10 +13,11 @@ from functools import partial
 
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.errors import StoreFailed
+from cogradar.services.errors import Deposed, StoreFailed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Retention
+from cogradar.services.simulation.checks import Told
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
 from cogradar.services.simulation.links import Links
@@ -91,6 +92,7 @@ class Cluster:
         self.counts: Counter[str] = Counter()
         self.disk = disk
         self.receiver_faults = ReceiverFaults()
+        self.told = Told()
         self._watch, self._prepares, self._keep = watch, prepares, keep
         self._due: list[_Due] = []
         self._n = itertools.count()
@@ -128,9 +130,19 @@ class Cluster:
         process = self.processes.pop(key, None)
         if process is None:
             return
-        if process.role is Role.RECORDER:
+        if process.role is Role.RECORDER and process.is_left:
+            self.disk.discard_left()
+        elif process.role is Role.RECORDER:
             self.disk.crash(torn=torn)
         self.tell_members()
+
+    def succeed(self, key: str) -> None:
+        """Start another process in the place of one that is frozen, which stays under another key."""
+        process = self.processes.pop(key)
+        process.is_left, process.checked = True, None  # the journal goes on without it
+        self.processes[f"{key}.left{self.disk.opened}"] = process
+        self.disk.leave()
+        self.start(key)
 
     def tell_members(self) -> None:
         """Tell the planners of each other, as far as they can see."""
@@ -149,7 +161,7 @@ class Cluster:
         to = getattr(message, "to", None)
         self.said[payload] = message
         for reader in self.processes.values():
-            if reader.role in topic.readers and to in {None, reader.name, reader.role.value}:
+            if reader is not sender and reader.role in topic.readers and to in {None, reader.name, reader.role.value}:
                 self.counts["sent"] += 1
                 arrivals = self.links.arrivals(sender.name, reader.name, self.now_s)
                 self.counts["lost"] += not arrivals
@@ -164,7 +176,7 @@ class Cluster:
                 break
             if process.inbox:
                 item = process.inbox.popleft()
-                self._handle(process, decode(item) if isinstance(item, bytes) else item)
+                self._receive(process, item)
             elif not process.wants_tick(process.clock.read(self.now_s)):
                 break
             if self._is_there(process) and process.wants_tick(reading_s := process.clock.read(self.now_s)):
@@ -172,6 +184,15 @@ class Cluster:
         else:
             raise Spinning(f"{process.name} does not come to rest")
         self._set_timer(process)
+
+    def _receive(self, process: Process, item: bytes | Membership) -> None:
+        event = decode(item) if isinstance(item, bytes) else item
+        if isinstance(event, Message) and process.epochs.fault(event):
+            self.counts["deposed"] += 1
+            return
+        if isinstance(event, Checkpoint):
+            self.told.hear(event, self.disk.journal if self.disk.is_open else None)
+        self._handle(process, event)
 
     def _set_timer(self, process: Process) -> None:
         """Look after a process when it must get a tick, or has time again."""
@@ -199,7 +220,7 @@ class Cluster:
             if not isinstance(event, Message):
                 raise
             self.refused.append(f"{process.name}: {type(event).__name__}: {refusal}")
-        except (PowerCut, StoreFailed) as error:
+        except (PowerCut, StoreFailed, Deposed) as error:
             self._died(next(key for key, one in self.processes.items() if one is process), error)
             return
         if process.checked is not None:
@@ -208,11 +229,12 @@ class Cluster:
     def _died(self, key: str, error: Exception) -> None:
         """A process has ended by itself; if the power was cut, the fault says when it comes back."""
         is_cut = isinstance(error, PowerCut)
+        is_left = key in self.processes and self.processes[key].is_left  # another one is there already
         if key in self.processes:
             self.kill(key, torn=is_cut)
         else:
             self.disk.crash(torn=is_cut)
-        if not is_cut:
+        if not is_cut and not is_left:
             self.at(self.now_s + RESTART_S, lambda: self.restart(key))
 
     def restart(self, key: str) -> None:
@@ -249,7 +271,9 @@ class Cluster:
                 return PlannerCore(name, lambda: self.now_s)
             case Role.RECORDER:
                 began, self._recorder_began = self._recorder_began, True
-                return Recorder(self.disk.open(self._wait), resume=began, keep=self._keep)
+                journal = self.disk.open(self._wait)
+                self.told.check(journal)
+                return Recorder(journal, resume=began, keep=self._keep)
             case _:
                 raise ValueError(f"{role} is not simulated")
 

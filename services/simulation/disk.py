@@ -34,13 +34,22 @@ class Disk:
         self._life = 0
         self._log_before = 0  # bytes of the log that were there before the last commit
         self._journal: SimulatedJournal | None = None
+        self._left: list[SimulatedJournal] = []  # of recorders that were frozen, and have a successor on the same file
+        self.opened = 0
+        self.after_commit: Callable[[], None] = lambda: None
         self._backup: Path | None = None
 
     def open(self, wait: Callable[[float], None]) -> Journal:
         """The journal of a recorder that is started; `wait` lets its time pass."""
+        self.opened += 1
         self._journal = SimulatedJournal(self, wait)
         self.limit()
         return self._journal
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a recorder."""
+        return self._journal is not None
 
     @property
     def journal(self) -> Journal:
@@ -53,6 +62,19 @@ class Disk:
     def path(self) -> Path:
         """File of the journal in this life."""
         return Path(self._folder.name) / f"{self._life}.db"
+
+    def leave(self) -> None:
+        """The recorder is frozen for so long that its lock is taken from it: another one may open the file."""
+        if self._journal is not None:
+            self._journal.lose_lock()
+            self._left.append(self._journal)
+            self._journal = None
+
+    def discard_left(self) -> None:
+        """Those that were frozen are gone."""
+        for journal in self._left:
+            journal.discard()
+        self._left.clear()
 
     def limit(self) -> None:
         """Let the disk be full, or not."""
@@ -92,6 +114,7 @@ class Disk:
 
     def close(self) -> None:
         """Remove all files."""
+        self.discard_left()
         if self._journal is not None:
             self._journal.discard()
         self._folder.cleanup()
@@ -103,6 +126,7 @@ class SimulatedJournal(Journal):
     def __init__(self, disk: Disk, wait: Callable[[float], None]) -> None:
         self._disk, self._wait = disk, wait
         super().__init__(str(disk.path))
+        self.read("PRAGMA busy_timeout = 0")  # nobody else goes on while one waits
 
     def commit(self) -> None:
         """Make durable what was written, unless the power is cut."""
@@ -112,7 +136,16 @@ class SimulatedJournal(Journal):
         super().commit()
         if self._disk.cuts_power:
             raise PowerCut
+        self._disk.after_commit()
         self._wait(self._disk.commit_s)
+
+    def lose_lock(self) -> None:
+        """Let another process take the lock, without a word."""
+        if self._lock is not None:
+            self._lock.lose()
+
+    def _now_us(self) -> int:
+        return self._disk.opened
 
     def discard(self) -> None:
         """Close it as it is."""

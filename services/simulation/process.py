@@ -7,6 +7,7 @@ from cogradar.services.delivery.invariant import Checked
 from cogradar.services.simulation.schedule import Fault
 from cogradar.shared.protocol.events import Membership, Tick
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.bus import Epochs
 from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
 
 ROUNDING_S = 1e-9  # so much later a timer goes off, or its time would not quite have come
@@ -43,10 +44,12 @@ class Process:
     core: Core
     clock: Clock
     inbox: deque[bytes | Membership] = field(default_factory=deque)
+    epochs: Epochs = field(default_factory=Epochs)
     halted: set[Fault] = field(default_factory=set)  # what keeps it from going on
     behind: set[Fault] = field(default_factory=set)  # what lets it always have something to read
     drained: bool = False  # there was a moment since its last tick in which it had not
     is_dead_to_others: bool = False  # its token is gone
+    is_left: bool = False  # another one has its role
     busy_until_s: float = 0.0
     tick_s: float = 0.0  # its next tick, by its own clock
     timer_s: float | None = None  # when it will be looked after, in simulated time

@@ -31,6 +31,7 @@ SCHEDULE = -1  # index of the generator that draws a schedule; those of its faul
 RATE_HZ = 10.0  # of runs in real time
 DWELLS = 8
 MOST_FAULTS = 8
+LEASE_S = 1.0  # after which the token of a frozen process is gone
 COMMANDED, MOST_COMMANDS = 0.3, 4  # share of the schedules in lockstep with commands, and how many one has
 AHEAD_DWELLS = 2  # of such a run before the journal, so that a command takes effect before its end
 RUN_SEEDS = 4  # worlds of each sky
@@ -58,11 +59,12 @@ class Kind(StrEnum):
     FULL = "full"  # no room on the recorder's disk
     SLOW = "slow"  # each commit takes so long
     RECEIVER = "receiver"  # the front end raises, or in real time also measures nonsense or nothing
+    SUCCESSOR = "successor"  # the recorder is frozen after a commit, and goes on beside one that was started meanwhile
     RESTORED = "restored"  # the recorder comes back with the journal as it was when this fault began
 
 
 LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT})
-DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED})
+DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 _OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.TWIN})  # in real time nothing can be played again, by nobody twice
 # km/s and s cannot be mixed up here: probability, s, or factor.
@@ -215,6 +217,8 @@ class Schedule:
             who = "emulator-0"
         elif kind is Kind.TWIN:
             who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
+        if kind is Kind.SUCCESSOR:
+            length_s += LEASE_S  # else it has none
         low_high = _AMOUNTS.get(kind)
         amount = _between(rng, *low_high) if low_high else 0.0
         return Fault(kind, at_s, at_s + length_s, who, whom, amount, n)

@@ -22,14 +22,13 @@ from cogradar.services.simulation.checks import (
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.process import Process
-from cogradar.services.simulation.schedule import AHEAD_DWELLS, LINKS, Asked, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import AHEAD_DWELLS, LEASE_S, LINKS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.skies import starts_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import Checkpoint, Command
 from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
-LEASE_S = 1.0  # after which the token of a frozen process is gone
 WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
@@ -128,7 +127,7 @@ class Simulator:
         raise Violated(f"not over at {latest_s:.1f} s, the faults were at {self._schedule.quiet_s:.1f} s: {k}")
 
     def _is_over(self) -> bool:
-        if RECORDER not in self._cluster.processes:
+        if RECORDER not in self._cluster.processes or any(one.is_left for one in self._cluster.processes.values()):
             return False
         rows = self._journal.rows("SELECT COUNT(*) FROM run WHERE status <> 'running'")
         return bool(rows[0][0] == len(self._starts)) and not self._journal.has_uncommitted
@@ -198,7 +197,7 @@ class Simulator:
                 process.clock.set(cluster.now_s, pace=fault.amount)
             case Kind.JUMP if process is not None:
                 process.clock.set(cluster.now_s, pace=process.clock.pace, ahead_s=fault.amount)
-            case Kind.FULL | Kind.SLOW | Kind.RECEIVER:
+            case Kind.FULL | Kind.SLOW | Kind.RECEIVER | Kind.SUCCESSOR:
                 self._set(fault, is_there=True)
             case Kind.RESTORED:
                 self._disk.back_up()
@@ -229,9 +228,10 @@ class Simulator:
                 cluster.kill(_twin(fault))
             case Kind.DRIFT if process is not None:
                 process.clock.set(cluster.now_s, pace=1.0)
-            case Kind.FULL | Kind.SLOW | Kind.RECEIVER:
+            case Kind.FULL | Kind.SLOW | Kind.RECEIVER | Kind.SUCCESSOR:
                 self._set(fault, is_there=False)
             case Kind.RESTORED:
+                cluster.told.is_restored = True
                 cluster.kill(fault.who)
                 self._disk.restore()
                 self._start(fault.who)
@@ -249,6 +249,17 @@ class Simulator:
         process.is_dead_to_others = fault in process.halted
         self._cluster.tell_members()
 
+    def _freeze(self, fault: Fault) -> None:
+        """Freeze the recorder between two transactions; it has a successor when its token is gone."""
+        self._disk.after_commit = lambda: None
+        if (process := self._cluster.processes.get(fault.who)) is not None:
+            process.halted.add(fault)
+            self._cluster.at(self._cluster.now_s + LEASE_S, partial(self._succeed, process, fault))
+
+    def _succeed(self, process: Process, fault: Fault) -> None:
+        if fault in process.halted and self._cluster.processes.get(fault.who) is process:
+            self._cluster.succeed(fault.who)
+
     def _go_on(self, process: Process, fault: Fault) -> None:
         process.halted.discard(fault)
         process.is_dead_to_others = process.is_dead_to_others and bool(process.halted)
@@ -261,6 +272,10 @@ class Simulator:
             (amounts.append if is_there else amounts.remove)(fault.amount)
         elif fault.kind is Kind.SLOW:
             self._disk.commit_s = fault.amount if is_there else 0.0
+        elif fault.kind is Kind.SUCCESSOR:
+            self._disk.after_commit = partial(self._freeze, fault) if is_there else lambda: None
+            for process in [one for one in self._cluster.processes.values() if fault in one.halted]:
+                self._go_on(process, fault)
         else:
             self._disk.is_full = is_there
             self._disk.limit()

@@ -160,4 +160,6 @@ Lacking = Annotated[list[Index], Field(max_length=MAX_SIDE)] | None  # tracks; N
 Size = Annotated[float, Field(ge=0, le=LARGEST)]
 Product = Annotated[float, Field(ge=0, le=LARGEST**3)]  # of sizes
 Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep
+MAX_EPOCH = 2**62
+Epoch = Annotated[int, Field(ge=0, le=MAX_EPOCH)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]

@@ -24,6 +24,7 @@ from cogradar.shared.protocol.fields import (
     Chances,
     Complexes,
     Covariance,
+    Epoch,
     Factor,
     FloatLists,
     Floats,
@@ -135,6 +136,7 @@ class Checkpoint(_Settings):
     held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
     orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
+    epoch: Epoch = 0  # of the recorder that says it: who has heard a higher one in this run drops it
 
     @field_validator("radar")
     @classmethod

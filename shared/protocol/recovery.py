@@ -11,6 +11,7 @@ from cogradar.shared.protocol.fields import (
     MAX_HISTORY,
     MAX_SIDE,
     MIXTURE,
+    Epoch,
     Floats,
     Index,
     Indices,
@@ -105,6 +106,7 @@ class History(Message):
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
+    epoch: Epoch = 0  # as that of a checkpoint
 
 
 class Handover(Message):

@@ -25,7 +25,7 @@ from cogradar.shared.protocol.messages import (
 from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.slots import ALL_SLOTS
 
-PROTOCOL = 7  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
+PROTOCOL = 8  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 
@@ -96,7 +96,7 @@ TOPICS = (
     Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
     Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
     Topic("run/{run}/command", Command, Role.OPERATOR, (_R,)),
-    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR), GivesWay.OLDEST),
+    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _R, _M, Role.OPERATOR), GivesWay.OLDEST),
     Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), GivesWay.OLDEST),
     Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),
     Topic("run/{run}/truth", Truth, _E, (_R,)),

@@ -39,8 +39,30 @@ class Bus(Protocol):
 LOCAL = "local"  # build of the cores that share one process
 MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
+MAX_RUNS_HEARD = 1000  # whose epochs are kept
 MAX_WAITING = 20_000  # payloads of one topic, ...
 MAX_WAITING_BYTES = 32 << 20  # ... and their bytes, that wait at a process
+
+
+class Epochs:
+    """The highest epoch of each run: what a recorder says that was deposed since is not to be heeded.
+
+    It was frozen or cut off, and may acknowledge what the journal of its successor does not have.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, int] = {}
+
+    def fault(self, message: Message) -> str:
+        """Why a message must be dropped; "": it is of the newest epoch that its run was heard of, or has none."""
+        epoch = vars(message).get("epoch")
+        if epoch is None:
+            return ""
+        newest = self._newest.pop(message.run, 0)
+        if len(self._newest) >= MAX_RUNS_HEARD:
+            del self._newest[next(iter(self._newest))]  # heard of longest ago
+        self._newest[message.run] = max(newest, epoch)
+        return f"{message.run}: of epoch {epoch}, another recorder of epoch {newest} leads it" if epoch < newest else ""
 
 
 class Inbox:
@@ -52,6 +74,7 @@ class Inbox:
         self._whole = {part: whole for whole, part in parts.items()}
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
         self.bad_of_topic: Counter[str] = Counter()
+        self._epochs = Epochs()
 
     def open(self, key: str, payload: bytes) -> list[Message]:
         """Messages of a payload that came on `key`: none if it is bad, several if they travelled together."""
@@ -65,7 +88,12 @@ class Inbox:
         if len(kinds) > 1 or not self._is_key_of(messages, key):
             self.drop(key, "the message belongs on another key")
             return []
-        return messages
+        return [message for message in messages if self._is_current(message, key)]
+
+    def _is_current(self, message: Message, key: str) -> bool:
+        if fault := self._epochs.fault(message):
+            self.drop(key, fault)
+        return not fault
 
     def _is_key_of(self, messages: Sequence[Message], key: str) -> bool:
         build = next(iter(key.split("/")[2:]), "") if self._build is None else self._build

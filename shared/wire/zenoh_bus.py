@@ -99,7 +99,9 @@ class ZenohBus:
             self._declared.append(tokens)
         address = name if role is Role.PLANNER else role
         self._declared += [
-            session.declare_subscriber(topic.pattern(heard or "*", address), self._reader(topic))
+            session.declare_subscriber(
+                topic.pattern(heard or "*", address), self._reader(topic), allowed_origin=zenoh.Locality.REMOTE
+            )
             for topic in topics_read_by(role)
             if reads
         ]

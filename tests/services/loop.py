@@ -22,14 +22,14 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
     return RunStart.of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
-def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> EmulatorCheckpoint:
+def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: int) -> EmulatorCheckpoint:
     """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
     settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
     settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, **flags}
     return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 
-def checkpoints(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> list[Message]:
+def checkpoints(start: RunStart, k: int = 0, t: int = 0, **flags: int) -> list[Message]:
     """The same as the recorder sends it: without the world to the radar's processes, with it to the emulator."""
     full = checkpoint(start, k, t, **flags)
     return [Checkpoint(**{name: getattr(full, name) for name in Checkpoint.model_fields}), full]

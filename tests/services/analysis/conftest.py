@@ -10,7 +10,7 @@ from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.scoring.scorer import Row
 from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
-from cogradar.services.recorder.schema import Recording
+from cogradar.services.recorder.file.schema import Recording
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
 from tests.services.scored import pictures

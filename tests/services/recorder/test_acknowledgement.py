@@ -29,8 +29,8 @@ def test_checkpoints_come_at_the_start_every_sixteen_dwells_and_at_the_end(sent:
 
 
 def test_only_the_emulator_is_told_of_the_world() -> None:
-    core, start = RecorderCore(Journal(":memory:")), smoke_start()
-    assert core.handle(start) == checkpoints(start)
+    journal, start = Journal(":memory:"), smoke_start()
+    assert RecorderCore(journal).handle(start) == checkpoints(start, epoch=journal.epoch)
 
 
 class PowerCut(Exception):
@@ -92,14 +92,16 @@ def test_rows_are_committed_and_acknowledged_within_half_a_second(sent: list[Mes
 
 def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message]) -> None:
     """After 2 ticks, then after 4, 8, 16 and 32; the dwells before are acknowledged."""
-    core, start = RecorderCore(Journal(":memory:")), smoke_start(dwells=20)
+    journal, start = Journal(":memory:"), smoke_start(dwells=20)
+    core, epoch = RecorderCore(journal), journal.epoch
     acknowledged(core, sent[: sent.index(waveforms(sent)[1]) + 1])
     answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 130)}
     asked, t = [2, 6, 14, 30, 62, 94, 126], scans(sent)[1].t
-    assert answers.pop(2) == [*checkpoints(start, 2, t), *checkpoints(start, 2, t, resend=True)]
+    again = checkpoints(start, 2, t, epoch=epoch, resend=True)
+    assert answers.pop(2) == [*checkpoints(start, 2, t, epoch=epoch), *again]
     for tick, answer in answers.items():  # every second, for who joins meanwhile
         is_said = tick in asked or tick % 4 == 0
-        assert answer == (checkpoints(start, 2, t, resend=tick in asked) if is_said else [])
+        assert answer == (checkpoints(start, 2, t, epoch=epoch, resend=tick in asked) if is_said else [])
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 10.0])

@@ -11,8 +11,8 @@ import pytest
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder import journal as journals
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.file.schema import APPLICATION_ID, SCHEMA_VERSION
 from cogradar.services.recorder.journal import Journal, Retention
-from cogradar.services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start

@@ -11,12 +11,15 @@ from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.errors import Deposed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.planner.ownership import owners
+from cogradar.services.recorder.file.database import Database
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.services.runs import in_process
 from cogradar.services.simulation import trials
+from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.memory import FUNCTIONS, Memory, remembering
 from cogradar.services.simulation.schedule import DWELLS, Asked, Fault, Kind, Schedule
@@ -159,6 +162,27 @@ def test_a_full_disk_lets_the_run_wait_for_room() -> None:
     assert outcome.simulated_s >= 3.0
 
 
+SUCCEEDED = Fault(Kind.SUCCESSOR, 0.0005, 2.5, "recorder-0")
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0])
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_a_recorder_that_wakes_beside_its_successor_ends_and_changes_nothing(
+    sky: str, rate_hz: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    died, ended = Cluster._died, list[tuple[str, type[Exception], float]]()
+
+    def noted(self: Cluster, key: str, error: Exception) -> None:
+        ended.append((key, type(error), self.now_s))
+        died(self, key, error)
+
+    monkeypatch.setattr(Cluster, "_died", noted)
+    assert _played(SUCCEEDED, sky=sky, rate_hz=rate_hz).violation == ""
+    ((key, kind, at_s),) = ended
+    assert (key, kind) == ("recorder-0.left1", Deposed)
+    assert 2.5 <= at_s < 3.6
+
+
 COMMANDS = (
     Asked(0, PowerLimit(share=0.5), 4),
     Asked(0, SectorSearch(from_deg=-90, to_deg=0, search="blank"), 4),
@@ -198,6 +222,16 @@ def test_a_commit_that_is_not_durable_is_found(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(Journal, "commit", lambda self: None if self.read("SELECT 1 FROM run") else commit(self))
     failed = [seed for seed in range(12) if play(Schedule.draw(seed)).violation]
     assert failed
+
+
+def test_a_recorder_that_is_not_fenced_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Database, "check_leads", lambda _: None)
+    drawn = [schedule for seed in range(60) if _has_successor(schedule := Schedule.draw(seed))]
+    assert any(play(schedule).violation for schedule in drawn)
+
+
+def _has_successor(schedule: Schedule) -> bool:
+    return any(fault.kind is Kind.SUCCESSOR for fault in schedule.faults)
 
 
 def test_messages_that_nobody_sends_again_are_found(monkeypatch: pytest.MonkeyPatch) -> None:

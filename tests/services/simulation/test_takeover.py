@@ -13,8 +13,7 @@ from cogradar.services.recorder.overdue import MISSED, WITHIN_S
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.process import Process
-from cogradar.services.simulation.schedule import Fault, Kind
-from cogradar.services.simulation.simulator import LEASE_S
+from cogradar.services.simulation.schedule import LEASE_S, Fault, Kind
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform, roster_of
 from cogradar.shared.scenario.files import load

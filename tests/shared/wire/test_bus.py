@@ -6,16 +6,18 @@ from queue import Empty
 import pytest
 
 from cogradar.shared.protocol.events import Membership
-from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from cogradar.shared.protocol.recovery import Handover, Snapshot
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import Handover, History, Snapshot
 from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
 from cogradar.shared.wire.bus import (
     LOCAL,
     MAX_BAD_KEYS,
+    MAX_RUNS_HEARD,
     MAX_WAITING,
     MAX_WAITING_BYTES,
     OTHER_KEYS,
     Arrivals,
+    Epochs,
     Inbox,
     LocalBus,
     LocalNetwork,
@@ -24,7 +26,7 @@ from cogradar.shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
 SENT = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
-PLAN_KEY = "cogradar/7/local/run/run-1/plan/0-15"
+PLAN_KEY = "cogradar/8/local/run/run-1/plan/0-15"
 
 
 def drain(bus: LocalBus) -> list[object]:
@@ -85,7 +87,7 @@ def test_a_closed_endpoint_receives_nothing() -> None:
         (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
         (PLAN_KEY.replace("0-15", "2-15"), encode(plan(target=1)), "the message belongs on another key"),
         (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),
-        ("cogradar/7/local/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
+        ("cogradar/8/local/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
     ],
 )
 def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
@@ -95,14 +97,14 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
     with caplog.at_level(logging.WARNING):
         assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
         assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
-        assert inbox.open("cogradar/7/local/run/run-1/end", b"") == []
-    assert dict(inbox.bad) == {key: 3, "cogradar/7/local/run/run-1/end": 1}
+        assert inbox.open("cogradar/8/local/run/run-1/end", b"") == []
+    assert dict(inbox.bad) == {key: 3, "cogradar/8/local/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping messages on {key}, the first: {reason}")
-    assert second.startswith("dropping messages on cogradar/7/local/run/run-1/end")
+    assert second.startswith("dropping messages on cogradar/8/local/run/run-1/end")
 
 
-@pytest.mark.parametrize("key", ["", "cogradar/7", "cogradar/7/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
+@pytest.mark.parametrize("key", ["", "cogradar/7", "cogradar/8/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
 def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
     assert Inbox(LOCAL).open(key, encode(plan())) == []
 
@@ -110,10 +112,10 @@ def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
 def test_bad_messages_on_ever_new_keys_take_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
     inbox = Inbox(LOCAL)
     for i in range(5 * MAX_BAD_KEYS):
-        inbox.open(f"cogradar/7/local/run/{i}/scan", b"noise")
-    inbox.open("cogradar/7/local/run/0/scan", b"noise")
+        inbox.open(f"cogradar/8/local/run/{i}/scan", b"noise")
+    inbox.open("cogradar/8/local/run/0/scan", b"noise")
     assert len(inbox.bad) == MAX_BAD_KEYS + 1
-    assert (inbox.bad["cogradar/7/local/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
+    assert (inbox.bad["cogradar/8/local/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
     assert inbox.bad.total() == 5 * MAX_BAD_KEYS + 1
     assert len(caplog.records) == MAX_BAD_KEYS + 1
 
@@ -158,7 +160,7 @@ def test_what_it_says_of_its_own_arrives(slots: str, target: int) -> None:
     for message in (plan(target=target), sample(Snapshot, run="run-1", target=target), handover):
         assert inbox.open(BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message)) == [message]
     other = join([encode(plan(target=target)), encode(plan(target=target + 8))])  # in one lot with another's
-    assert len(inbox.open(f"cogradar/7/local/run/run-1/plan/{slots}", other)) == (2 if slots == "0-15" else 0)
+    assert len(inbox.open(f"cogradar/8/local/run/run-1/plan/{slots}", other)) == (2 if slots == "0-15" else 0)
 
 
 def test_a_bad_payload_does_not_hide_the_next_message() -> None:
@@ -219,3 +221,28 @@ def test_what_is_larger_than_all_the_place_there_is_is_dropped() -> None:
     arrivals: Arrivals[int] = Arrivals()
     assert not arrivals.admit("a", MAX_WAITING_BYTES + 1, GivesWay.OLDEST)
     assert arrivals.dropped() == {"a": 1}
+
+
+def test_what_a_deposed_recorder_says_is_dropped_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Of the run in which a higher epoch was heard; another recorder may lead another run."""
+    inbox = Inbox(LOCAL)
+
+    def heard(kind: type[Message], epoch: int, run: str = "run-1") -> bool:
+        message = sample(kind, epoch=epoch, run=run)
+        return inbox.open(BY_MESSAGE[kind].key_of(message, LOCAL), encode(message)) == [message]
+
+    assert [heard(Checkpoint, epoch) for epoch in (3, 3, 5, 4, 5, 3, 6)] == [True, True, True, False, True, False, True]
+    assert not heard(History, 5)
+    assert heard(Checkpoint, 1, "run-2")
+    assert inbox.bad_of_topic == {"checkpoint": 2, "history": 1}
+    first, _ = [record.getMessage() for record in caplog.records]
+    assert first.endswith("the first: run-1: of epoch 4, another recorder of epoch 5 leads it")
+
+
+def test_epochs_of_the_runs_that_were_heard_of_last_are_kept() -> None:
+    epochs = Epochs()
+    for n in range(MAX_RUNS_HEARD + 1):
+        assert not epochs.fault(sample(Checkpoint, epoch=5, run=f"run-{n}"))
+        assert epochs.fault(sample(Checkpoint, epoch=4, run="run-0"))  # heard of all the time
+    assert epochs.fault(sample(Checkpoint, epoch=4, run=f"run-{n}"))
+    assert not epochs.fault(sample(Checkpoint, epoch=4, run="run-1"))

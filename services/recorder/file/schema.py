@@ -3,8 +3,8 @@
 A file may come from anywhere. SQLite runs what a schema holds (triggers, views, expressions) inside our own statements,
 so a file whose schema is not word for word ours is refused before it is asked anything.
 
-Tables `run`, `message`, `snapshot` and `command` are the recorder's, `score`, `picture` and `campaign` a campaign's,
-whose store has few messages. Targets and tracks count from 1.
+Tables `run`, `message`, `snapshot`, `command`, `dropped` and `leader` are the recorder's, `score`, `picture` and
+`campaign` a campaign's, whose store has few messages. Targets and tracks count from 1.
 """
 
 import os
@@ -23,7 +23,7 @@ from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 17
+SCHEMA_VERSION = 18
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
 MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
@@ -87,6 +87,10 @@ CREATE TABLE command ( -- what somebody asked of a run that went on
     PRIMARY KEY (run, n), UNIQUE (run, id)) WITHOUT ROWID;
 CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name
+    );
+CREATE TABLE leader ( -- the recorders that led the runs of this file, one after the other
+    epoch INTEGER PRIMARY KEY, -- [us] when it began, since 1970 in UTC, or later, the highest one leads
+    name TEXT NOT NULL -- of its process
     );
 CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
 {definition(SCORE, SCORE_KEY)}) WITHOUT ROWID;

@@ -27,9 +27,13 @@ class JournalLock:
 
     def release(self) -> None:
         """Let others write."""
-        if _is_at(self._file, self._path):  # else another process has made one
+        if _is_at(self._file, self._path) and _is_held(self._file):  # else another process has made or taken it
             Path(self._path).unlink(missing_ok=True)
         os.close(self._file)
+
+    def lose(self) -> None:
+        """Let others take it, as a file system over the network does with the lock of a machine that is cut off."""
+        fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def _take(self, path: str) -> int:
         while True:
@@ -75,6 +79,15 @@ def _holder(text: bytes) -> str:
         return "{name} (process {pid} on {host}, since {since})".format(**json.loads(text))
     except (ValueError, KeyError, TypeError):
         return "another process"  # that has just taken it
+
+
+def _is_held(file: int) -> bool:
+    """Whether a lock that was taken is still ours: some file systems take it back from a machine that is cut off."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def _is_at(file: int, path: str) -> bool:

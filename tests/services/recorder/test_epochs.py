@@ -1,0 +1,128 @@
+"""A recorder that was frozen or cut off while another one took over: it commits nothing more, and ends itself."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cogradar.services.errors import BadInput, Deposed
+from cogradar.services.recorder.file.database import Database
+from cogradar.services.recorder.file.lock import JournalLock
+from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.fields import MAX_EPOCH
+from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.recovery import History, WaveformRecall
+from tests.services.loop import checkpoint, scans, smoke_start, waveforms
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A file whose lock does not hold, as that of a machine whose file system over the network was cut off."""
+    monkeypatch.setattr(JournalLock, "_take", lambda self, _: os.open(self._path, os.O_RDWR | os.O_CREAT))
+    monkeypatch.setattr("cogradar.services.recorder.file.database.displaced", lambda *_: "")
+    return str(tmp_path / "runs.db")
+
+
+def _recorder(path: str, name: str = "recorder-0") -> Recorder:
+    return Recorder(Journal(path, owner=name), resume=True)
+
+
+def _epochs(answers: object) -> set[int]:
+    assert isinstance(answers, list)
+    return {answer.epoch for answer in answers}
+
+
+def _content(path: str) -> list[tuple[object, ...]]:
+    journal = Journal(path, read_only=True)
+    queries = "SELECT * FROM run", "SELECT * FROM message", "SELECT * FROM leader"
+    rows = [tuple(row) for query in queries for row in journal.rows(query)]
+    journal.close()
+    return rows
+
+
+def test_a_deposed_recorder_commits_not_a_byte(path: str, sent: list[Message]) -> None:
+    first = _recorder(path)
+    first.handle(smoke_start(dwells=20))
+    second = _recorder(path, "recorder-1")
+    before = _content(path)
+    with pytest.raises(Deposed, match=r"^recorder-1 has .*runs\.db with epoch \d+, this recorder has epoch \d"):
+        first.handle(scans(sent)[0])
+    first.close()
+    assert _content(path) == before
+    assert second.handle(scans(sent)[0]) == ()  # and the other one goes on
+    second.close()
+
+
+def test_it_ends_within_a_second_without_a_message(path: str) -> None:
+    first = _recorder(path)
+    for i in range(2 * LOOK_TICKS):
+        first.handle(Tick(0.25 * i))
+    _recorder(path)
+    for i in range(1, LOOK_TICKS):
+        first.handle(Tick(10.0 + 0.25 * i))
+    with pytest.raises(Deposed):
+        first.handle(Tick(11.0))
+
+
+def test_it_ends_when_it_hears_of_one_that_leads_another_copy_of_the_file(path: str, sent: list[Message]) -> None:
+    """What it had not committed is undone."""
+    first, start = _recorder(path), smoke_start(dwells=20)
+    old = _epochs(first.handle(start))
+    shutil.copyfile(path, f"{path}.copy")
+    shutil.copyfile(f"{path}-wal", f"{path}.copy-wal")
+    second = _recorder(f"{path}.copy")
+    (new,) = _epochs(second.handle(smoke_start(dwells=20, run="other")))
+    assert new > max(old)
+    assert first.handle(checkpoint(start, epoch=min(old))) == ()  # its own
+    assert second.handle(checkpoint(start, epoch=min(old))) == ()  # an older one's
+    first.handle(scans(sent)[0])
+    with pytest.raises(Deposed, match=r"^another recorder leads r with epoch"):
+        first.handle(checkpoint(start, epoch=new))
+    first.close()
+    assert not [row for row in _content(path) if "scan" in row]
+
+
+def test_one_that_waits_for_its_disk_ends_too(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = _recorder(path)
+    first.handle(smoke_start())
+    monkeypatch.setattr("cogradar.services.recorder.file.database.displaced", lambda *_: "it was removed")
+    said = [first.handle(Tick(0.25 * i)) for i in range(LOOK_TICKS)]
+    assert [answer.held for answer in said[-1] if isinstance(answer, Checkpoint)] == [True, True]
+    assert _epochs(said[-1]) == {first._journal.epoch}
+    with pytest.raises(Deposed):
+        first.handle(checkpoint(smoke_start(), epoch=first._journal.epoch + 1))
+
+
+def test_all_that_a_recorder_says_has_its_epoch(sent: list[Message]) -> None:
+    recorder = Recorder(Journal(":memory:"))
+    answers = [answer for message in sent for answer in recorder.handle(message)]
+    answers += recorder.handle(WaveformRecall(run="r", k=waveforms(sent)[3].k))
+    assert {type(answer) for answer in answers} >= {Checkpoint, History}
+    assert _epochs(answers) == {recorder._journal.epoch}
+    assert recorder._journal.epoch > 0
+
+
+def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on an older copy, which does not know of the last ones, if the clock is right."""
+    found = []
+    for now_us in (1000, 5000, 10, 10):
+        monkeypatch.setattr(Database, "_now_us", lambda _, now_us=now_us: now_us)
+        if now_us == 5000:
+            shutil.copyfile(path, f"{path}.old")
+        recorder = _recorder(path)
+        recorder.close()
+        found.append(recorder._journal.epoch)
+    assert found == [1000, 5000, 5001, 5002]
+    monkeypatch.setattr(Database, "_now_us", lambda _: 9000)
+    assert _recorder(f"{path}.old")._journal.epoch == 9000
+
+
+def test_an_epoch_that_nobody_can_follow_is_refused(path: str) -> None:
+    journal = Journal(path)
+    journal.write("INSERT INTO leader VALUES (?, 'x')", MAX_EPOCH)
+    journal.close()
+    with pytest.raises(BadInput, match=r"runs\.db: leader\.epoch = \d+: must be below \d+"):
+        _recorder(path)
