@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
+from cogradar.services.certs.validity import Validity
 from cogradar.services.errors import BadInput, Interrupted, StoreFailed, check_stop
 from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
@@ -55,7 +56,8 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
 
     Raises BadInput; so it does if the certificate is another role's.
     """
-    start = replace(start, name=process_name(role, start.name, listen if role is Role.ROUTER else connect))
+    where, side = (listen, "listen") if role is Role.ROUTER else (connect, "connect")
+    start, validity = replace(start, name=process_name(role, start.name, where)), Validity.at(where, side)
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Printable(f"%(asctime)s {start.name} %(levelname)s %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler])
@@ -65,14 +67,14 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
 
         rules = None if allow is None else access.access_control(names.allowed(allow))
         try:
-            run_router(listen, stop, Exposition(dict).text, rules, beat=Heartbeat())
+            run_router(listen, stop, Exposition(validity.measures).text, rules, beat=_both(Heartbeat(), validity.tell))
         except BadConfig as error:
             raise BadInput(str(error)) from None
     else:
-        _serve(SERVICES[role], start, connect, stop)
+        _serve(SERVICES[role], start, connect, stop, validity)
 
 
-def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
+def _serve(service: Service, start: Start, connect: str, stop: threading.Event, validity: Validity) -> None:
     if service.core is None:
         raise ValueError(f"{service.role} has no core")
     check = partial(check_stop, stop)
@@ -98,13 +100,22 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             from cogradar.services.metrics.processes import gather
 
             core.gather = partial(gather, session)
-        bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
+        bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
         log.info("connected to %s", connect)
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
-        serve(core, bus, stop, bus.meter, Heartbeat(bus.is_connected, core))
+        beat = _both(Heartbeat(bus.is_connected, core), validity.tell)
+        serve(core, bus, stop, bus.meter, beat)
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)
+
+
+def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[], None]:
+    def both() -> None:
+        first()
+        second()
+
+    return both
 
 
 def _close(bus: ZenohBus) -> None:
@@ -155,14 +166,14 @@ def _claimed(role: Role, name: str, session: Session, check: Callable[[], None])
         raise
 
 
-def _exposition(role: Role, core: Core, bus: ZenohBus) -> Callable[[], bytes]:
+def _exposition(role: Role, core: Core, bus: ZenohBus, validity: Validity) -> Callable[[], bytes]:
     """What the process shows of itself: what its core knows, and what passed."""
     from cogradar.shared.wire.exposition import Exposition
 
     def measures() -> Measures:
         own = core.measures() if isinstance(core, Measured) else {}
         dropped = dict.fromkeys((topic.name for topic in topics_read_by(role)), 0) | bus.inbox.bad_of_topic
-        return {**bus.meter.measures(), "messages_dropped": dropped, **own}
+        return {**bus.meter.measures(), "messages_dropped": dropped, **validity.measures(), **own}
 
     return Exposition(measures).text
 

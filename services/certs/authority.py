@@ -80,12 +80,14 @@ def issue(folder: Path, names: Sequence[str], hosts: Sequence[str], days: int) -
     return written
 
 
+def end_of(certificate: bytes) -> float:
+    """When a certificate, PEM, ends, in seconds since 1970. Raises BadInput if it is none."""
+    return _read(certificate).not_valid_after_utc.timestamp()
+
+
 def name_on(certificate: bytes) -> str:
     """The name on a certificate, PEM; empty on those of others' authorities. Raises BadInput if it is none."""
-    try:
-        found = x509.load_pem_x509_certificate(certificate)
-    except (ValueError, x509.InvalidVersion):
-        raise BadInput("--zenoh-config: what it has for a certificate is none") from None
+    found = _read(certificate)
     try:
         issuer, name = (
             [str(one.value) for one in of.get_attributes_for_oid(NameOID.COMMON_NAME)]
@@ -94,6 +96,13 @@ def name_on(certificate: bytes) -> str:
     except (ValueError, TypeError):  # in other letters than ours
         return ""
     return name[0] if issuer == [AUTHORITY] else ""
+
+
+def _read(certificate: bytes) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(certificate)
+    except (ValueError, x509.InvalidVersion):
+        raise BadInput("--zenoh-config: what it has for a certificate is none") from None
 
 
 def _issue(folder: Path, authority: Authority, name: str, hosts: Sequence[str], days: int) -> Path:

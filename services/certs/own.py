@@ -28,16 +28,21 @@ def check(endpoints: str, holders: Collection[str], side: str = "connect") -> st
 
     Raises BadInput if it is not of one of these roles.
     """
-    try:
-        shown = own_certificate(endpoints.split(","), side)
-        if shown is None:
-            return ""
-        from cogradar.services.certs import authority
+    certificate = shown(endpoints, side)
+    if certificate is None:
+        return ""
+    from cogradar.services.certs import authority
 
-        name = authority.name_on(shown)
-        if name and holder_of(name) not in holders:
-            needed = " or ".join(f"{holder}.NAME" for holder in holders)
-            raise BadInput(f"--zenoh-config: its certificate is that of {name}; this needs one of {needed}")
+    name = authority.name_on(certificate)
+    if name and holder_of(name) not in holders:
+        needed = " or ".join(f"{holder}.NAME" for holder in holders)
+        raise BadInput(f"--zenoh-config: its certificate is that of {name}; this needs one of {needed}")
+    return name
+
+
+def shown(endpoints: str, side: str) -> bytes | None:
+    """The certificate, PEM, that is shown at these endpoints; None if none is. Raises BadInput."""
+    try:
+        return own_certificate(endpoints.split(","), side)
     except BadConfig as error:
         raise BadInput(str(error)) from None
-    return name

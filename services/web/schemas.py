@@ -309,6 +309,7 @@ class ProcessRow(Document):
     redelivered: float | None
     dropped: float | None
     full: float | None
+    certificate_days: float | None = Field(description="Until its certificate ends; null without one.")
     cpu_seconds: float | None
     rss_bytes: float | None
 

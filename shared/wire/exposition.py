@@ -72,6 +72,9 @@ METRICS = {
     "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs.", roles="planner"),
     "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal.", roles="recorder"),
     "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable.", roles="recorder"),
+    "certificate_days": Meaning(
+        GaugeMetricFamily, "Days until the certificate of a process ends, negative if it has; without one: nothing."
+    ),
     "journal_full": Meaning(
         GaugeMetricFamily, "1 while the journal cannot be written and runs are held.", roles="recorder"
     ),

@@ -1,5 +1,5 @@
 // What is wrong with a run that is watched live, in a line: it stands still, and why; plans are late, cells are blind,
-// looks are not measured.
+// looks are not measured, a certificate is about to end.
 
 import { Latest, ask } from "./api.js";
 import * as says from "./says.js";
@@ -10,13 +10,16 @@ const ASK_MS = 3000;
 const SILENT_MS = 6000; // or so many dwells without one:
 const SILENT_DWELLS = 5;
 const LATELY = 20; // dwells over which shares are counted
+const CERTIFICATES_MS = 600000; // between two looks at certificates
+const SOON_DAYS = 30;
 const ALARMING = 0.05; // of plans that are late, of cells that are blind, of looks that are not measured
 
 export class Alarms {
   constructor(session) {
-    Object.assign(this, { session, run: null, newest: 0, since: 0, reasons: [] });
+    Object.assign(this, { session, run: null, newest: 0, since: 0, reasons: [], ending: [], askAt: 0 });
     this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer) => {
       this.reasons = answer ? reasonsOf(answer.processes) : [];
+      this.ending = answer ? endingOf(answer.processes) : this.ending;
     });
     setInterval(() => document.hidden || this.look(), EVERY_MS);
   }
@@ -32,6 +35,10 @@ export class Alarms {
       says.notice("alarm", null);
       return;
     }
+    if (now >= this.askAt) {
+      this.askAt = now + CERTIFICATES_MS;
+      this.latest.want();
+    }
     const found = lately(dwells.before(player.newest, LATELY));
     const silent = now - this.since;
     if (silent > Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / (radar.rate_hz || Infinity))) {
@@ -39,6 +46,7 @@ export class Alarms {
       const why = this.reasons.length ? `: ${this.reasons.join(", ")}` : "";
       found.unshift(`No new dwell for ${fixed(silent / 1000, 0)} s${why}`);
     }
+    found.push(...this.ending);
     says.notice("alarm", found.length ? `${found.join("; ")}.` : null);
   }
 }
@@ -48,6 +56,16 @@ function reasonsOf(processes) {
   const missing = processes.filter((one) => !one.alive && !one.name).map((one) => `no ${one.role}`);
   const full = processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full or its store is gone`);
   return [...full, ...missing];
+}
+
+// Whose certificate is about to end; of several only how many, and the first.
+function endingOf(processes) {
+  const soon = processes.filter((one) => one.certificate_days != null && one.certificate_days < SOON_DAYS);
+  const [first, ...others] = soon.sort((one, other) => one.certificate_days - other.certificate_days);
+  if (!first) return [];
+  const more = others.length ? ` and ${others.length} more` : "";
+  const when = first.certificate_days > 0 ? `ends in ${fixed(first.certificate_days, 0)} days` : "has ended";
+  return [`The certificate of ${first.name}${more} ${when}`];
 }
 
 // What is wrong in these dwells: shares of plans, cells and looks.

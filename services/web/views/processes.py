@@ -39,6 +39,7 @@ _TOTALS = {  # of an answer, and the sample that is summed over all topics
     "redelivered": "cogradar_messages_redelivered_total",
     "dropped": "cogradar_messages_dropped_total",
     "full": "cogradar_journal_full",
+    "certificate_days": "cogradar_certificate_days",
     "cpu_seconds": "process_cpu_seconds_total",
     "rss_bytes": "process_resident_memory_bytes",
 }

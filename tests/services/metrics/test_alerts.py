@@ -36,6 +36,9 @@ CASES = {
     ),
     "CogradarStandsStill": Case({"cogradar_dwell_age_seconds": "1x6 12x54"}, 35, 60, "for 12s"),
     "CogradarJournalFull": Case({"cogradar_journal_full": "0x6 1x54"}, 30, 40, "its disk is full"),
+    "CogradarCertificateEnds": Case(
+        {'cogradar_certificate_days{role="planner",process="p"}': "31x6 29x54"}, 30, 40, "planner p ends in 29 days"
+    ),
     "CogradarTrackLost": Case({"cogradar_tracks_lost": "0x6 2x54"}, 30, 60, "2 targets"),
     "CogradarTargetsMissed": Case({"cogradar_targets_missed": "1x6 0x3 3x51"}, 100, 120, "3 targets"),
     "CogradarTracksEnd": Case({"cogradar_tracks_ended_total": "0x12 0+1x48"}, 90, 240, "ended within five minutes"),
