@@ -15,7 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
 from cogradar.services.certs.validity import Validity
-from cogradar.services.errors import BadInput, Interrupted, StoreFailed, check_stop
+from cogradar.services.errors import BadInput, Deposed, Interrupted, StoreFailed, check_stop
 from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build
@@ -90,7 +90,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             closing.callback(core.close)
         session = open_session(connect.split(","), None, check=check)
         closing.callback(session.close)
-        _claim = _check_others(service, start, session, check)  # shown until the session is closed
+        claim = _check_others(service, start, session, check)  # shown until the session is closed
         bus = ZenohBus(session, service.role, start.name)
         closing.callback(_close, bus)
         if isinstance(core, Answering):
@@ -105,7 +105,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         beat = _both(Heartbeat(bus.is_connected, core), validity.tell)
-        serve(core, bus, stop, bus.meter, beat)
+        serve(core, bus, stop, bus.meter, _beat(beat, service.role, claim))
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)
 
@@ -116,6 +116,22 @@ def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[],
         second()
 
     return both
+
+
+def _beat(heartbeat: Callable[[], None], role: Role, claim: Claim | None) -> Callable[[], None]:
+    """The heartbeat of a process, which raises Deposed if another one has its role."""
+    if claim is None:
+        return heartbeat
+    claim.watch()
+
+    def beat() -> None:
+        heartbeat()
+        if name := claim.successor():
+            raise Deposed(
+                f"{name} is {role} now: this process was frozen or cut off while the other one took over, and ends"
+            )
+
+    return beat
 
 
 def _close(bus: ZenohBus) -> None:

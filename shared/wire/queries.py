@@ -16,6 +16,7 @@ from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, PROTOCOL, 
 log = logging.getLogger(__name__)
 
 MAX_QUESTION = 4096  # characters of a question's parameters
+STAYS_S = 1.0  # for which a later claim must be there: one that is only about to withdraw is gone by then
 POLL_S = 0.002  # for the replies to a query
 
 Answer = Callable[[str, Mapping[str, str]], bytes]  # of a metric, with parameters
@@ -109,6 +110,8 @@ class Claim:
         self._session, self._role, self._name = session, role, name
         self._moment = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
         self._token: zenoh.LivelinessToken | None = None
+        self._later: dict[str, tuple[str, float]] = {}  # claims: whose, and since when they are seen
+        self._watch: Any = None
 
     @property
     def is_shown(self) -> bool:
@@ -131,8 +134,32 @@ class Claim:
         there = {*names_alive(self._session, "*", self._role), *claims.values()}
         return sorted(there), min(claims, default=self._moment) < self._moment
 
+    def watch(self) -> None:
+        """From now on see who claims the role besides."""
+        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
+
+        def on_token(sample: zenoh.Sample) -> None:
+            moment, name = str(sample.key_expr).split("/")[-2:]
+            if sample.kind == zenoh.SampleKind.PUT and moment > self._moment:
+                self._later.setdefault(moment, (name, time.monotonic()))
+            else:
+                self._later.pop(moment, None)
+
+        self._watch = self._session.liveliness().declare_subscriber(key, on_token, history=True)
+
+    def successor(self) -> str:
+        """Name of a process that took the role over while this one was not seen; "": there is none.
+
+        It would not have claimed a role of which it saw the process. The later one of two stays.
+        """
+        before_s = time.monotonic() - STAYS_S
+        return min((name for name, since_s in list(self._later.values()) if since_s < before_s), default="")
+
     def drop(self) -> None:
         """Leave the role to others."""
+        if self._watch is not None:
+            self._watch.undeclare()
+            self._watch = None
         if self._token is not None:
             self._token.undeclare()
             self._token = None

@@ -1,4 +1,4 @@
-"""Real processes: a recorder that was stopped, and goes on beside the one that took over from it."""
+"""Real processes: one that was stopped, and goes on beside the one that took over from it, ends itself."""
 
 import signal
 import sqlite3
@@ -6,11 +6,13 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
+from cogradar.services import kernels
 from cogradar.services.errors import Deposed
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster, in_process
@@ -21,7 +23,7 @@ from cogradar.shared.wire.session import open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import smoke_start
 
-START = smoke_start(dwells=400, run="succeeded")
+START = smoke_start(dwells=600, run="succeeded")
 WITHIN_S = 60.0
 
 
@@ -54,40 +56,76 @@ class _Readers:
                 return event
         raise AssertionError("no checkpoint")
 
+    def end(self) -> None:
+        """It must be the run of one process."""
+        while not self.next().ended:
+            pass
+        (run,) = self._journal.read("SELECT status, digest FROM run")
+        assert run == {"status": "complete", "digest": in_process.play(START).run["digest"]}
 
-@pytest.mark.zenoh
-def test_it_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_path: Path) -> None:
-    store = tmp_path / "runs.db"
-    launcher = Launcher(LocalProcesses(1, str(store)), threading.Event())
-    second = [sys.executable, "-m", "cogradar", "service", "recorder", "--name", "recorder-1"]
-    with launcher:
+
+@contextmanager
+def _run_that_goes_on(store: Path) -> Iterator[tuple[Launcher, _Readers]]:
+    """Of real processes, after some dwells."""
+    kernels.compile_all(lambda _: None)
+    with Launcher(LocalProcesses(1, str(store)), threading.Event()) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         session = open_session([launcher.endpoint], 10.0, lambda: None)
-        with (
-            closing(ZenohBus(session, Role.OPERATOR, "test")) as bus,
-            closing(Journal(str(store), read_only=True)) as journal,
-        ):
+        bus, journal = ZenohBus(session, Role.OPERATOR, "test"), Journal(str(store), read_only=True)
+        with closing(bus), closing(journal):
             bus.publish(START)
             readers = _Readers(bus, journal)
-            while (before := readers.next()).k < 16:
+            while readers.next().k < 16:
                 pass
-            _stop_between_transactions(launcher, store)
-            Path(f"{store}.lock").unlink()  # as after a lock that the file system has taken back
-            command = [*second, "--connect", launcher.endpoint, "--store", str(store)]
-            with subprocess.Popen(command, stderr=subprocess.DEVNULL) as successor:
-                try:
-                    while (now := readers.next()).epoch == before.epoch:
-                        pass
-                    assert now.epoch > before.epoch
-                    launcher.signal("recorder-0", signal.SIGCONT)
-                    began = time.monotonic()
-                    assert launcher._processes["recorder-0"].wait(WITHIN_S) == Deposed.exit_code
-                    assert time.monotonic() - began < 5.0
-                    assert f"recorder-1 has {store} with epoch {now.epoch}, this" in launcher._tail("recorder-0")
-                    while not now.ended:
-                        now = readers.next()
-                        assert now.epoch > before.epoch
-                finally:
-                    successor.terminate()
-            (run,) = journal.read("SELECT status, digest FROM run")
-    assert run == {"status": "complete", "digest": in_process.play(START).run["digest"]}
+            yield launcher, readers
+
+
+@contextmanager
+def _successor(launcher: Launcher, role: Role, *options: str) -> Iterator[None]:
+    """Another process of a role, while its first one is stopped; then that one goes on, and must end itself soon."""
+    name = f"{role}-1"
+    command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, *options]
+    with subprocess.Popen([*command, "--connect", launcher.endpoint], stderr=subprocess.DEVNULL) as successor:
+        try:
+            yield
+        finally:
+            successor.terminate()
+
+
+def _ends_itself(launcher: Launcher, name: str, said: str) -> None:
+    launcher.signal(name, signal.SIGCONT)
+    began = time.monotonic()
+    assert launcher._processes[name].wait(WITHIN_S) == Deposed.exit_code
+    assert time.monotonic() - began < 5.0
+    assert said in launcher._tail(name)
+
+
+@pytest.mark.zenoh
+def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_path: Path) -> None:
+    store = tmp_path / "runs.db"
+    with ExitStack() as stack:
+        launcher, readers = stack.enter_context(_run_that_goes_on(store))
+        before = readers.next().epoch
+        _stop_between_transactions(launcher, store)
+        Path(f"{store}.lock").unlink()  # as after a lock that the file system has taken back
+        stack.enter_context(_successor(launcher, Role.RECORDER, "--store", str(store)))
+        while (now := readers.next().epoch) == before:
+            pass
+        assert now > before
+        _ends_itself(launcher, "recorder-0", f"recorder-1 has {store} with epoch {now}, this")
+        assert readers.next().epoch == now
+        readers.end()
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("role", [Role.ALLOCATOR, Role.EMULATOR])
+def test_so_does_one_that_transmits_or_allocates(role: Role, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        launcher, readers = stack.enter_context(_run_that_goes_on(tmp_path / "runs.db"))
+        launcher.signal(f"{role}-0", signal.SIGSTOP)
+        stack.enter_context(_successor(launcher, role))
+        k = readers.next().k
+        while readers.next().k <= k + 16:
+            pass
+        _ends_itself(launcher, f"{role}-0", f"{role}-1 is {role} now: this process was frozen or cut off while")
+        readers.end()

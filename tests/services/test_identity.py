@@ -18,7 +18,7 @@ from cogradar.shared.protocol.events import Event, Membership
 from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
 from cogradar.shared.wire.codec import encode
-from cogradar.shared.wire.queries import alive
+from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.session import Session, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests import samples
@@ -176,3 +176,29 @@ def test_a_planner_knows_all_planners_before_it_hears_of_a_run(router: str, sess
             ]
         finally:
             bus.close()
+
+
+def test_a_later_claim_that_stays_is_a_successor(
+    router: str, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that withdraws at once, as of several that start together, is none; nor is an earlier one."""
+    monkeypatch.setattr("cogradar.shared.wire.queries.STAYS_S", 0.4)
+    earlier = Claim(session, Role.RECORDER, "a")
+    claim = Claim(session, Role.RECORDER, "b")
+    claim.show()
+    claim.watch()
+    with open_session([router], 10.0, lambda: None) as other:
+        later = Claim(other, Role.RECORDER, "c")
+        for stays_s, found in ((0.0, {""}), (0.6, {"", "c"})):
+            later.show()
+            seen, until_s = set[str](), time.monotonic() + 0.2 + stays_s
+            while time.monotonic() < until_s:
+                seen.add(claim.successor())
+                time.sleep(0.02)
+            later.drop()
+            assert seen == found
+        earlier.show()
+        time.sleep(0.6)
+        assert claim.successor() == ""
+    claim.drop()
+    earlier.drop()
