@@ -27,6 +27,7 @@ RUN --mount=type=cache,target=/root/.cache/uv \
     && find venv -type d -name tests -prune -exec rm -rf {} + \
     && rm venv/lib/python*/site-packages/scs/_scs_mkl.*
 COPY deploy/scenarios deploy/scenarios
+COPY deploy/plugins deploy/plugins
 COPY shared shared
 COPY services services
 COPY cogradar cogradar

@@ -4,10 +4,10 @@ from 1, as in the paper.
 
 import logging
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Self, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
 from pydantic import ValidationError
 
@@ -15,10 +15,16 @@ from cogradar.services.analysis.run_arrays import Result
 from cogradar.services.errors import BadInput, Failure, NoMetrics, RunFailed
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.faults import explain
-from cogradar.shared.scenario.files import ScenarioError
+from cogradar.shared.scenario.files import ScenarioError, parse
 from cogradar.shared.scenario.files import load as load_file
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, Kind
+from cogradar.shared.scenario.plugins.names import PluginError
+from cogradar.shared.scenario.plugins.resolver import named
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from cogradar.plugins import BinRule, Disturbance, PowerRule
 
 __all__ = [
     "BadInput",
@@ -161,20 +167,25 @@ def load(name_or_path: str | Path, settings: Sequence[str] = ()) -> Scenario:
 
 def run(
     scenario: Scenario | str | Path,
-    strategy: str = Strategy.POWER_AWARE,
+    strategy: "str | PowerRule" = Strategy.POWER_AWARE,
     seed: int = 1,
     dwells: int | None = None,
     planners: int = 1,
     progress: Callable[[int, int], object] | None = None,
+    *,
+    rule: "str | BinRule | None" = None,
+    objective: "str | PowerRule | None" = None,
+    disturbance: "str | Disturbance | None" = None,
 ) -> Result:
     """Play one run in this process, as `cogradar run --in-process` does: the same digest for the same arguments.
 
     scenario : a Scenario, or what `load` takes
-    strategy : "orthogonal", "uniform" or "power-aware"
+    strategy : "orthogonal", "uniform" or "power-aware", or your own: "PATH.py:NAME", or an object (`cogradar.plugins`)
     seed     : of all that is random, 0 .. 2^63 - 1
     dwells   : tracking dwells, the scenario's number if left out
     planners : how many share the tracks; they take turns, and the result is the same for any number
     progress : called some four times a second with the dwells done and those to do
+    rule, objective, disturbance : in place of the scenario's, as names or as objects of your own
 
     Raises BadInput for arguments that make no sense, RunFailed if the run does not reach its end. The first call after
     an installation compiles for about a minute, and logs that.
@@ -184,16 +195,15 @@ def run(
     from cogradar.services.metrics.answers import answer
     from cogradar.services.metrics.store import in_memory
     from cogradar.services.runs import in_process
-    from cogradar.services.runs.run import Progress
+    from cogradar.services.runs.run import Progress, strategy_of
 
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    if strategy not in set(Strategy):
-        raise BadInput(f"strategy = {strategy!r}: must be one of {', '.join(Strategy)}")
+    loaded = _with_own(loaded, {RULE: rule, OBJECTIVE: objective, DISTURBANCE: disturbance})
     seed, planners = _whole("seed", seed), _whole("planners", planners)
     if planners < 1:
         raise BadInput(f"planners = {planners}: must be at least 1")
     try:
-        start = RunStart.of(loaded, Strategy(strategy), seed, None if dwells is None else _whole("dwells", dwells))
+        start = RunStart.of(loaded, strategy_of(strategy), seed, None if dwells is None else _whole("dwells", dwells))
     except ValidationError as error:
         raise BadInput(explain(error, RunStart)) from None
     kernels.compile_all(log.warning)
@@ -205,6 +215,29 @@ def run(
     store = in_memory()
     in_process.play(start, planners=planners, store=store, report=report)
     return Result(StoredRun(partial(answer, store), start.run))
+
+
+def _with_own(scenario: Scenario, things: Mapping[Kind, Any]) -> Scenario:
+    """A scenario with other things, by name or as objects. Raises BadInput."""
+    document = scenario.model_dump()
+    for kind, thing in things.items():
+        *tables, key = kind.stands.split(".")
+        table: Any = document
+        for part in tables:
+            table = table[part]
+            if table is None and thing is not None:
+                raise BadInput(f"{kind.name}: {scenario.name} has no [world]")
+        if thing is not None:
+            try:
+                table[key] = named(kind, thing, Path())
+            except PluginError as error:
+                raise BadInput(f"{kind.name} = {thing!r}: {error}") from None
+    if all(thing is None for thing in things.values()):
+        return scenario
+    try:
+        return parse(document, scenario.name)
+    except ScenarioError as error:
+        raise BadInput(str(error)) from None
 
 
 def _whole(name: str, value: object) -> int:

@@ -3,12 +3,9 @@
 `simulated`, `recorded:FILE[#RUN]`, `PATH.py:NAME` or `package.module:NAME`; docs/howto/front-end.md.
 """
 
-import importlib
-import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from cogradar.services.emulator.own_thread import OpensInOwnThread
@@ -17,6 +14,10 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
+from cogradar.shared.scenario.plugins.kinds import FRONT_END
+from cogradar.shared.scenario.plugins.names import OWN, PluginError, PluginRefused
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
+from cogradar.shared.scenario.plugins.sources import settled as settled_name
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 SIMULATED = "simulated"
@@ -84,32 +85,21 @@ def _recording(name: str) -> tuple[str, str]:
 
 def _named(name: str) -> Callable[[Settings], FrontEnd]:
     """The class, or function, of somebody else."""
-    module_name, colon, attribute = name.rpartition(":")
-    if not colon or not module_name or not attribute.isidentifier():
-        raise BadInput(f"{name}: must be {SIMULATED}, {_RECORDED}FILE[#RUN], PATH.py:NAME or package.module:NAME")
     try:
-        is_file = module_name.endswith(".py")
-        module = _module_of_file(Path(module_name)) if is_file else importlib.import_module(module_name)
-    except Exception as error:  # noqa: BLE001 - somebody else's file may raise anything
-        raise BadInput(f"{name}: cannot be imported: {type(error).__name__}: {error}") from None
-    make = getattr(module, attribute, None)
-    if not callable(make):
-        raise BadInput(f"{name}: there is no {attribute} that can be called in {module_name}")
-    lacking = [method for method in ("transmit", "close") if isinstance(make, type) and not hasattr(make, method)]
-    if lacking:
-        raise BadInput(f"{name}: a front end needs the method {lacking[0]}, which {attribute} has not")
-    made: Callable[[Settings], FrontEnd] = make
+        made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, settled_name(FRONT_END, name, Path()))
+    except PluginError as error:
+        is_none = not all(name.rpartition(":"))  # no source, or no name in it
+        must = f"must be {SIMULATED}, {_RECORDED}FILE[#RUN], or your own: {OWN}"
+        raise BadInput(f"{name}: {must if is_none else error}") from None
     return made
 
 
-def _module_of_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise FileNotFoundError("no such file")
-    name = f"front_end_{path.stem}"  # must not hide a module of that name
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError("not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # as for any module: dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
+def guarded(make: Any, call: Caller) -> Callable[[Settings], FrontEnd]:
+    """A class, or a function, that makes front ends; what these raise is the business of who drives them."""
+    if not callable(make):
+        raise PluginRefused(f"{call.short}: must be a class or a function (settings) -> FrontEnd")
+    lacking = [method for method in ("transmit", "close") if isinstance(make, type) and not hasattr(make, method)]
+    if lacking:
+        raise PluginRefused(f"{call.short}: a front end needs the method {lacking[0]}, which it has not")
+    made: Callable[[Settings], FrontEnd] = make
+    return made

@@ -41,10 +41,10 @@ def _planner(start: Start) -> Core:
     return PlannerCore(start.name)
 
 
-def _allocator(_: Start) -> Core:
+def _allocator(start: Start) -> Core:
     from cogradar.services.allocator.core import AllocatorCore
 
-    return AllocatorCore()
+    return AllocatorCore(start.name)
 
 
 def _recorder(start: Start) -> Core:

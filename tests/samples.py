@@ -21,7 +21,15 @@ from cogradar.shared.protocol.messages import (
     Waveform,
 )
 from cogradar.shared.protocol.orders import PowerLimit
-from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.recovery import (
+    Handover,
+    History,
+    NoPlans,
+    NoWaveforms,
+    ScanRecall,
+    Snapshot,
+    WaveformRecall,
+)
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import encode
@@ -57,6 +65,8 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
     ScanRecall: {"k": 3, "targets": [0, 2], "planner": "p1"},
     Handover: {"planner": "p1", "k": 3, "targets": [1], "taken": False},
     WaveformRecall: {"k": 3},
+    NoPlans: {"process": "p1", "reason": "ahead.py: not here", "ends": False},
+    NoWaveforms: {"process": "a1", "reason": "ahead.py: raised", "ends": True},
     History: {"to": "p1", "topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
     Scan: {
         "k": 3,

@@ -6,8 +6,10 @@ from typing import Any
 from cogradar.shared.scenario.combinations import LOOKS, RADARS, WHY, Allowed, one_of
 from cogradar.shared.scenario.document import SCENARIO_DIR
 from cogradar.shared.scenario.files import comments_of
+from cogradar.shared.scenario.plugins.kinds import OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.resolver import resolve
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
+from cogradar.shared.scenario.tables import FIDELITY, IF_UNKNOWN, marked
 from docs.generator.markdown import code, prose, table
 
 UNITS = {
@@ -56,21 +58,21 @@ def keys() -> str:
 
 def strategies() -> str:
     """The names of the power rules, and what each says of itself."""
-    return _named("strategy", "what is radiated", POWER_RULES)
+    return _named("strategy", "what is radiated", STRATEGY)
 
 
 def bin_rules() -> str:
     """The names of the rules of looking, and what each says of itself."""
-    return _named("rule", "what it asks for", RULES)
+    return _named("rule", "what it asks for", RULE)
 
 
 def objectives() -> str:
     """What power-aware beams may be to achieve, and what each says of itself."""
-    return _named("objective", "what it does", OBJECTIVES)
+    return _named("objective", "what it does", OBJECTIVE)
 
 
-def _named(kind: str, what: str, addresses: Mapping[str, str]) -> str:
-    texts = {name: (implementation(address).__doc__ or "").split("\n\n")[0] for name, address in addresses.items()}
+def _named(kind: str, what: str, of: Kind) -> str:
+    texts = {name: (resolve(of, name).__doc__ or "").split("\n\n")[0] for name in of.built_in}
     return table((kind, what), [(marked(code(name), name), prose(text)) for name, text in texts.items()])
 
 
@@ -129,7 +131,8 @@ def _heading(path: str) -> str:
 
 def _type(field: dict[str, Any]) -> str:
     if "enum" in field:
-        return "one of " + ", ".join(map(code, field["enum"]))
+        own = ", or [your own](../howto/extending.md)" if "pattern" in field.get("anyOf", [{}])[-1] else ""
+        return "one of " + ", ".join(map(code, field["enum"])) + own
     kinds = {
         "boolean": "true or false",
         "integer": "whole number",

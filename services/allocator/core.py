@@ -1,5 +1,6 @@
 """Allocator: collects the plans of dwell k, splits the power, and answers with the waveform of dwell k+1."""
 
+import logging
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,11 +16,15 @@ from cogradar.shared.protocol.admission import check_plan
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from cogradar.shared.protocol.orders import Order, in_force
+from cogradar.shared.protocol.recovery import NoWaveforms
+from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused
+from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
 # When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
 # waveform, the second one while no plan comes at all.
 AFTER_FIRST, AFTER_WAVEFORM, AFTER_COASTING = 0.5, 1.5, 1.0
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -32,12 +37,14 @@ class _Run:
     pacing: Pacing
     tracks: Tracks
     k: int  # the dwell to be answered next
+    allocator: str  # name of this process
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
     orders: Sequence[Order] = ()  # as the last checkpoint says
     held: set[int] = field(default_factory=set)  # dwells that are complete, too far ahead of the journal
     due_s: float | None = None  # when the answer is due, whatever is missing,
     wait_s: float | None = None  # ... or how long after the next tick, which tells the time
+    failed: NoWaveforms | None = None  # its strategy or objective did
 
     @property
     def first_open(self) -> int:
@@ -47,6 +54,12 @@ class _Run:
     def expect(self, k: int, periods: float) -> None:
         """The waveform of dwell k is due so many periods from now."""
         self.k, self.wait_s, self.due_s = k, self.pacing.wait_s(periods), None
+
+    def give_up(self, run: str, error: PluginFailed) -> Sequence[Message]:
+        """Make no more waveforms: the strategy or objective of somebody's own failed, and would again."""
+        log.error("%s: %s", run, error)
+        self.failed = NoWaveforms.of(run, self.allocator, error, ends=True)
+        return (self.failed,)
 
     def forget(self, before_k: int) -> None:
         """No waveform will be made for the dwells before this one."""
@@ -63,7 +76,8 @@ class AllocatorCore:
     orders, which each checkpoint says.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "allocator") -> None:
+        self._name = name
         self._runs: dict[str, _Run] = {}
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -117,6 +131,8 @@ class AllocatorCore:
     def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
         """Go on with a run; begin one that is new, or that is rewound."""
         run = self._runs.get(checkpoint.run)
+        if run is not None and run.failed is not None:
+            return (run.failed,)
         if run is not None and not run.resend.is_rewound_by(checkpoint):
             run.forget(checkpoint.k)
             run.resend.acknowledge(checkpoint)
@@ -124,11 +140,25 @@ class AllocatorCore:
             return tuple(answer for k in sorted(run.held) for answer in _next(run, k, is_first=False))
         radar, pacing = RadarConfig.model_validate(checkpoint.radar), pacing_at(checkpoint.rate_hz)
         resend, tracks = ResendBuffer(checkpoint.k), tracks_of(radar, pacing)
-        run = self._runs[checkpoint.run] = _Run(radar, checkpoint.strategy, resend, pacing, tracks, checkpoint.k)
+        run = _Run(radar, checkpoint.strategy, resend, pacing, tracks, checkpoint.k, self._name)
+        self._runs[checkpoint.run] = run
         run.orders = checkpoint.orders
-        if pacing.has_deadlines:
-            warm_up(radar, checkpoint.strategy)
+        try:
+            load_for("allocator", checkpoint.radar, checkpoint.strategy)
+            if pacing.has_deadlines:
+                warm_up(radar, checkpoint.strategy)
+        except PluginRefused as error:
+            return self._refuse(checkpoint, error)
+        except PluginFailed as error:
+            return run.give_up(checkpoint.run, error)
         return self._pending.replay(checkpoint.run, self.handle)
+
+    def _refuse(self, checkpoint: Checkpoint, error: PluginRefused) -> Sequence[Message]:
+        """A run whose strategy cannot be had here: by the next checkpoint it may. One that begins should not wait."""
+        del self._runs[checkpoint.run]
+        self._pending.forget(checkpoint.run)
+        log.error("%s: %s", checkpoint.run, error)
+        return (NoWaveforms.of(checkpoint.run, self._name, error, ends=checkpoint.k == 0),)
 
 
 def _collect(run: _Run, plan: Plan) -> Sequence[Message]:
@@ -170,10 +200,14 @@ def _when_due(run: _Run, now_s: float) -> Sequence[Message]:
 
 def _answer(run: _Run, k: int) -> Sequence[Message]:
     """The waveform of dwell k, with earlier plans where its own are missing; none if too little is known."""
-    update = run.tracks.update(k, run.newest | run.plans[k], run.orders)
+    update = run.tracks.update(k, run.newest | run.plans[k], run.orders) if run.failed is None else None
     if update is None:
         return ()
-    answer = run.tracks.sent(waveform(run.radar, run.strategy, update, in_force(run.orders, k + 1)))
+    try:
+        made = waveform(run.radar, run.strategy, update, in_force(run.orders, k + 1))
+    except PluginFailed as error:
+        return run.give_up(update.run, error)
+    answer = run.tracks.sent(made)
     run.newest = {plan.target: plan for plan in update.plans} | {m: p for m, p in run.newest.items() if p.k > k}
     if run.pacing.loses_dwells:
         run.forget(k + 1)

@@ -21,6 +21,7 @@ from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, W
 from cogradar.shared.protocol.orders import DropTrack, Order, in_force, of_tracks
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.codec import decode
 from cogradar.shared.wire.runner import Core
@@ -62,13 +63,15 @@ class Replay:
 def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
     """Feed a run into a core until an answer differs. `report` is told how many dwells were fed.
 
-    Raises BadInput if the store has not what the core needs, as that of a campaign.
+    Raises BadInput if the store has not what the core needs, as that of a campaign; PluginError if something of a
+    user's own cannot be loaded with the source that the run had.
     """
     if to not in CORES:
         raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
     rule = stored.scenario.radar.planner.rule
     if to == "planner" and rule in TRUE_RULES:
         raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
+    load_for(to, stored.start.scenario["radar"], stored.start.strategy)
     make, fed, compared = CORES[to]
     first = int(stored.row["kept_k"])
     if first > 0 and to == "planner":

@@ -159,7 +159,8 @@ def side_by_side(reports: Sequence[dict[str, Any]]) -> list[Table]:
             for report in reports
             for row in (report["last"] if i else _of_whole_runs(report))
         ]
-        rows.sort(key=lambda row: (row["target"], list(Strategy).index(row["strategy"])))
+        order = {strategy: i for i, strategy in enumerate(Strategy)}
+        rows.sort(key=lambda row: (row["target"], order.get(row["strategy"], len(order)), row["strategy"]))
         columns = (TARGET, STRATEGY, Column("scenario", "{what}", left=True), DWELLS, *DETECTION[:2], *ERRORS)
         tables.append(_table(f"Side by side, {what}", columns, rows, "target"))
     return tables

@@ -25,7 +25,7 @@ from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.runs.run import ending
+from cogradar.services.runs.run import ending, loaded, strategy_of
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
@@ -80,11 +80,10 @@ class Tally:
 
 def parse_strategies(text: str) -> tuple[Strategy, ...]:
     """Strategies of a comma-separated list. Raises BadInput."""
-    names = text.split(",")
-    for name in names:
-        if name not in set(Strategy) or names.count(name) > 1:
-            raise BadInput(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
-    return tuple(map(Strategy, names))
+    found = tuple(map(strategy_of, text.split(",")))
+    if len(set(found)) < len(found):
+        raise BadInput(f"strategies = {text!r}: must be each once")
+    return found
 
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
@@ -122,9 +121,12 @@ def play(
 ) -> Tally:
     """Play the runs that the store does not have yet.
 
-    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreFailed; the store is good in any case.
+    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreFailed, BadInput if something of a
+    user's own cannot be loaded; the store is good in any case.
     """
     starts = campaign.starts()
+    for start in starts[: len(campaign.scenarios) * len(campaign.strategies)]:
+        loaded(start)
     tally, began, broken = Tally(len(starts), _n_done(store)), time.monotonic(), 0
     report(tally)
     while missing := missing_runs(starts, store):

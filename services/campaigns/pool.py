@@ -12,13 +12,14 @@ from contextlib import AbstractContextManager, contextmanager
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from cogradar.services.errors import RunFailed
+from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.plugins.sources import allow, allowance
 
 
 class Pool(Protocol):
@@ -58,13 +59,19 @@ class LocalPool:
         context = multiprocessing.get_context("spawn")
         theirs, ours = context.Pipe(duplex=False)
         n_worker = min(self._workers, n_run)
-        pool = ProcessPoolExecutor(n_worker, context, initializer=_end_with, initargs=(theirs,))
+        pool = ProcessPoolExecutor(n_worker, context, initializer=_begin, initargs=(theirs, allowance()))
         try:
             yield pool
         finally:
             ours.close()  # ends the workers, and so would the death of this process
             theirs.close()
             pool.shutdown(cancel_futures=True)
+
+
+def _begin(parent: Connection, allowed: str) -> None:
+    """Be a worker: it may load what its parent may."""
+    allow(allowed)
+    _end_with(parent)
 
 
 def _end_with(parent: Connection) -> None:
@@ -88,6 +95,8 @@ def play_one(start: RunStart, asked: str) -> tuple[Recording, float]:
     store = in_memory()
     try:
         in_process.play(start, store=store)
+    except BadInput as error:
+        raise RunFailed(f"{platform.node()}: {error}") from None
     except RunFailed as error:
         if not store.read("SELECT 1 FROM run WHERE status = 'failed'"):
             raise RunFailed(f"{start.run}: {error}") from None

@@ -20,7 +20,6 @@ from cogradar.services.cli.console import (
     ScenarioFilter,
     SeedFilter,
     StoreOption,
-    StrategyFilter,
     ZenohConfigOption,
     command,
     err,
@@ -31,6 +30,7 @@ from cogradar.services.cli.console import (
     progress,
     say,
 )
+from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, RunFailed, check_stop
 
 if TYPE_CHECKING:
@@ -215,6 +215,7 @@ def replay(
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
+    _plugins: PluginsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Feed a stored run into one core, and compare its answers bit for bit.

@@ -19,7 +19,6 @@ from cogradar.services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
     JsonOption,
-    ScenarioArgument,
     ServiceFrontEndOption,
     SetOption,
     ZenohConfigOption,
@@ -31,6 +30,8 @@ from cogradar.services.cli.console import (
     print_json,
     say,
 )
+from cogradar.services.cli.plugins import commands as cli_plugins
+from cogradar.services.cli.plugins.options import PluginsOption
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.runs.run import untold
 from cogradar.services.topology import Start
@@ -41,6 +42,7 @@ from cogradar.shared.scenario.document import read
 from cogradar.shared.scenario.faults import printable_lines
 from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
 from cogradar.shared.scenario.limits import UNLIMITED, said_dwells
+from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.scenario import Scenario
 
 app = typer.Typer(
@@ -160,6 +162,7 @@ def service(
         str,
         typer.Option(metavar="HOST:PORT", help="Metrics: serve HTTP there, or at the next free port."),
     ] = "",
+    _plugins: PluginsOption = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -292,13 +295,33 @@ def sky(
 
 @app.command()
 def check(
-    file: ScenarioArgument,
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="A scenario; or of your own FILE.py, FILE.py:NAME or package.module:NAME.",
+            autocompletion=completion.checked,
+        ),
+    ],
     settings: SetOption = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+    kind: Annotated[
+        str | None,
+        typer.Option(help="What FILE.py:NAME is, if it cannot be told.", autocompletion=completion.kinds),
+    ] = None,
+    _plugins: PluginsOption = None,
 ) -> None:
-    """Validate a scenario: all that is wrong with it, or what its targets are like and what makes no sense."""
+    """Validate a scenario, or a thing of your own: all that is wrong with it.
+
+    Of a scenario it says what its targets are like and what makes no sense.
+    Of a rule, a strategy, an objective or a disturbance: whether its answers
+    make sense and are the same each time, and what a call costs.
+    """
+    if cli_plugins.is_of_author(file):
+        cli_plugins.check_own(file, kind)
+        return
     with command(at_once=True):
         loaded = _loaded(file, settings)
+        load_for("", loaded.radar.model_dump(), "", None if loaded.world is None else loaded.world.model_dump())
     from cogradar.services.kernels import interpret_unless_compiled
 
     interpret_unless_compiled()  # before what follows imports some
@@ -353,6 +376,7 @@ for other in (
     cli_bench.chaos,
     cli_bench.verify,
     cli_calibrate.calibrate,
+    cli_plugins.new,
     cli_certs.certs,
     cli_bench.simulate,
 ):

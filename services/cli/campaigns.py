@@ -21,7 +21,6 @@ from cogradar.services.cli.console import (
     SeedFilter,
     SetOption,
     Stop,
-    StrategyFilter,
     command,
     err,
     filters,
@@ -31,6 +30,7 @@ from cogradar.services.cli.console import (
     say,
     with_rule,
 )
+from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.runs.run import as_played
 from cogradar.services.topology import Start
@@ -72,6 +72,7 @@ def campaign(
     workers: WorkersOption = None,
     resume: ResumeOption = False,
     dask: DaskOption = None,
+    _plugins: PluginsOption = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
     from cogradar.services.campaigns import campaign as campaigns
@@ -102,6 +103,7 @@ def sweep(
     workers: WorkersOption = None,
     resume: ResumeOption = False,
     dask: DaskOption = None,
+    _plugins: PluginsOption = None,
     against: Annotated[
         str | None, typer.Option(metavar="KEY=VALUE", help="Compare with this value of an axis, within seeds.")
     ] = None,

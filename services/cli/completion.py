@@ -26,16 +26,29 @@ def metrics(incomplete: str) -> list[str]:
     return _beginning_with(incomplete, METRICS)
 
 
+def checked(incomplete: str) -> list[str]:
+    """Scenarios, and Python files."""
+    return scenarios(incomplete) + _files(incomplete, ".py")
+
+
 def rules(incomplete: str) -> list[str]:
-    """Rules of looking."""
-    return _beginning_with(incomplete, RULES)
+    """Rules of looking, and Python files with one's own."""
+    return _beginning_with(incomplete, RULES) + _files(incomplete, ".py")
+
+
+def kinds(incomplete: str) -> list[str]:
+    """Kinds of things of one's own."""
+    from cogradar.services.plugins.templates import kinds as there
+
+    return _beginning_with(incomplete, there())
 
 
 def strategies(incomplete: str) -> list[str]:
-    """Lists of strategies, the last one of which is being typed."""
+    """Lists of strategies, the last one of which is being typed; also Python files with one's own."""
     before, comma, last = incomplete.rpartition(",")
     given = before.split(",")
-    return [f"{before}{comma}{name}" for name in _beginning_with(last, Strategy) if name not in given]
+    found = [*_beginning_with(last, Strategy), *_files(last, ".py")]
+    return [f"{before}{comma}{name}" for name in found if name not in given]
 
 
 def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:

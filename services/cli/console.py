@@ -27,9 +27,9 @@ from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.scenario.faults import allowed, printable, printable_lines
 from cogradar.shared.scenario.files import ScenarioError
 from cogradar.shared.scenario.limits import MAX_DWELLS, NO_END, UNLIMITED
-from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.plugins.kinds import RULE
+from cogradar.shared.scenario.plugins.names import PluginError, names_of
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.scenario.tables import RULES
 
 _UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
@@ -82,13 +82,6 @@ def one_source(context: typer.Context, option: typer.CallbackParam, text: str | 
     return endpoints(text) if option.name == "connect" else text
 
 
-def known_rule(name: str | None) -> str | None:
-    """A name of the table of rules. Raises BadParameter."""
-    if name is not None and name not in RULES:
-        raise typer.BadParameter(f"{name!r}: must be one of {', '.join(RULES)}")
-    return name
-
-
 def number_of_dwells(text: str) -> int:
     """A number of dwells, or the word for no end. Raises BadParameter."""
     if text == UNLIMITED:
@@ -133,8 +126,7 @@ RuleOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        callback=known_rule,
-        help=f"Rule of looking, as --set radar.planner.rule=NAME: {', '.join(RULES)}.",
+        help=f"Rule of looking, as --set radar.planner.rule=NAME: {names_of(RULE.built_in)}.",
         autocompletion=completion.rules,
     ),
 ]
@@ -162,7 +154,6 @@ RunFilter = Annotated[str | None, typer.Option("--run", help="Only this run.")]
 ScenarioFilter = Annotated[
     str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
 ]
-StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only runs of this strategy.")]
 SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Print CSV only.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
@@ -209,7 +200,7 @@ def command(*, at_once: bool = False, zenoh_config: str | None = None) -> Iterat
         _end(error, stop.exit_code)
     except Failure as error:
         _end(error, error.exit_code)
-    except ScenarioError as error:
+    except (ScenarioError, PluginError) as error:
         _end(error, BadInput.exit_code)
     except ConnectionError as error:
         _end(error, RunFailed.exit_code)

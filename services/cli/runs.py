@@ -34,8 +34,10 @@ from cogradar.services.cli.console import (
     say,
     with_rule,
 )
+from cogradar.services.cli.plugins.options import PluginsOption, StrategyOption
 from cogradar.services.errors import BadInput
 from cogradar.services.runs.run import Result, as_played, ending, program, untold
+from cogradar.services.runs.run import loaded as loadable
 from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
 from cogradar.shared.protocol.messages import RunStart
@@ -64,15 +66,12 @@ HttpOption = Annotated[
 ]
 KeepOption = Annotated[bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")]
 ENDLESS_STORE = "grows with each dwell until it has 4 GB of messages; the oldest dwells make room then"
-STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
 
 
 def run(
     scenario: ScenarioArgument,
     settings: SetOption = None,
-    strategy: Annotated[
-        Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
-    ] = Strategy.POWER_AWARE,
+    strategy: StrategyOption = Strategy.POWER_AWARE,
     rule: RuleOption = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
     dwells: RunDwellsOption = None,
@@ -90,6 +89,7 @@ def run(
     http: HttpOption = None,
     keep: KeepOption = False,
     front_end: FrontEndOption = Start.front_end,
+    _plugins: PluginsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -113,7 +113,7 @@ def run(
         for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world, endless=stored):
             say(text, err)
         rate_hz = rate_of(loaded, pace, rate)
-        start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
+        start = loadable(RunStart.of(loaded, strategy, seed, dwells, rate_hz))
         show = partial(_show, store=store, endpoint=connect, as_json=as_json)
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)

@@ -4,14 +4,17 @@ A scan is a function of the configuration, the seed and the waveform. So dwell k
 any process, gives the same scan.
 """
 
+from contextlib import suppress
 from typing import Self
 
 import numpy as np
 
 from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
 from cogradar.shared.protocol.messages import ABSENT, EmulatorCheckpoint
+from cogradar.shared.scenario.plugins.kinds import SIGNAL
+from cogradar.shared.scenario.plugins.names import PluginError
+from cogradar.shared.scenario.plugins.resolver import load_for, resolve
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.scenario.tables import SIGNALS, implementation
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.signal.recording import RecordingError
 from cogradar.shared.world.scene import Place, Scene
@@ -34,7 +37,10 @@ class SimulatedFrontEnd:
             raise FrontEndError("the scenario has no [world] to simulate, and this emulator has no other front end")
         world, radar = WorldConfig.model_validate(checkpoint.world), RadarConfig.model_validate(checkpoint.radar)
         try:
-            scene: Scene = implementation(SIGNALS[world.signal])(world, radar, checkpoint.world_seed, checkpoint.t)
+            load_for("emulator", checkpoint.radar, checkpoint.strategy, checkpoint.world)
+            scene: Scene = resolve(SIGNAL, world.signal)(world, radar, checkpoint.world_seed, checkpoint.t)
+        except PluginError as error:
+            raise FrontEndError(f"world.disturbance.model: {error}") from None
         except RecordingError as error:  # on another machine, or changed since the run began
             raise FrontEndError(f"world.disturbance.recording: {error}") from None
         return cls(scene, checkpoint.k)
@@ -42,7 +48,10 @@ class SimulatedFrontEnd:
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Let the targets fly until t, and measure. They stand still during acquisition."""
         self._fly(t)
-        measured = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.looks)
+        try:
+            measured = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.looks)
+        except PluginError as error:
+            raise FrontEndError(f"world.disturbance.model: {error}") from None
         self._k, self._is_prepared = k + 1, False
         self._likely = self._scene.drawn if waveform.isotropic == 0.0 else []
         return ScanData.of_looks(measured)
@@ -68,8 +77,9 @@ class SimulatedFrontEnd:
         """Let the targets fly and draw the noise of the next dwell, once; results do not depend on it."""
         if self._scene.t == 0 or self._is_prepared:
             return False
-        self._scene.prepare(self._k, self._likely)
         self._is_prepared = True
+        with suppress(PluginError):  # what it draws next fails again, and is said then
+            self._scene.prepare(self._k, self._likely)
         return True
 
     def close(self) -> None:

@@ -103,7 +103,13 @@ def _runs(store: Store, selection: Selection) -> Rows:
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
     )
-    return [row | (_now(store, row) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
+    return [row | (_hindered(row, store) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
+
+
+def _hindered(run: dict[str, Any], store: Store) -> dict[str, Any]:
+    """What a run waits for, and what hinders it."""
+    now = _now(store, run)
+    return now | {"waiting_for": "; ".join(text for text in (now["waiting_for"], run["reason"]) if text)}
 
 
 def count(store: Store, parameters: Mapping[str, str]) -> int:

@@ -8,6 +8,7 @@ from typing import Any, Self
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.store import Store
 from cogradar.shared.scenario.limits import NO_END
+from cogradar.shared.scenario.plugins.names import N_HASH, may_be_own, names_of
 from cogradar.shared.scenario.radar_config import Strategy
 
 ALL = "all"  # as the name of a run: every run once
@@ -51,8 +52,8 @@ class Selection:
             if name not in PARAMETERS:
                 raise BadInput(f"{name}: unknown parameter, must be one of {', '.join(PARAMETERS)}")
         strategy = parameters.get("strategy")
-        if strategy is not None and strategy not in set(Strategy):
-            raise BadInput(f"strategy = {strategy!r}: must be one of {', '.join(Strategy)}")
+        if strategy is not None and strategy not in set(Strategy) and not may_be_own(strategy):
+            raise BadInput(f"strategy = {strategy!r}: must be one of {names_of(list(Strategy))}")
         first, last = dwells_of(parameters["dwells"]) if "dwells" in parameters else (None, None)
         return cls(
             parameters.get("run"),
@@ -76,7 +77,10 @@ class Selection:
     @property
     def of_runs(self) -> tuple[str, list[str | int]]:
         """SQL condition on the rows of `run`, and its values."""
-        return " AND ".join(["1", *(f"{name} = ?" for name in self.filters)]), list(self.filters.values())
+        either = f"? IN (strategy, substr(strategy, 1, length(strategy) - {N_HASH + 1}))"  # also without its hash
+        is_it = {"strategy": either}
+        terms = [is_it.get(name, f"{name} = ?") for name in self.filters]
+        return " AND ".join(["1", *terms]), list(self.filters.values())
 
     @property
     def of_scores(self) -> tuple[str, list[int]]:

@@ -14,12 +14,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.pending import Pending
-from cogradar.services.planner.run import PlannedRun
+from cogradar.services.planner.run import PlannedRun, Unplanned
 from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, Scan
-from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.recovery import Handover, History, NoPlans
 from cogradar.shared.protocol.slots import may_plan
-from cogradar.shared.scenario.tables import BIN_RULES
+from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused
+from cogradar.shared.scenario.plugins.resolver import load_for
+from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.meter import Measures
 from cogradar.shared.wire.runner import Flush
 
@@ -42,6 +44,8 @@ class PlannerCore:
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
         self._changed_s: dict[str, float] = {}  # of a run: when its tracks changed owners, as one had gone or was late
         self._tell_s: dict[str, float] = {}  # of a run: when its progress is told next
+        self._failed: dict[str, NoPlans] = {}  # runs whose rule failed
+        self._refused: dict[str, str] = {}  # runs whose rule cannot be had here, and why
         self._now_s = 0.0
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -54,9 +58,31 @@ class PlannerCore:
     def handle(self, event: Event) -> Iterable[Message | Flush]:
         """Receive a scan and plan; on a change of membership, take up the tracks that this worker now owns."""
         for run in self._inactivity.after(event):
-            self._runs.pop(run, None)
-            self._suspended.pop(run, None)
-            self._changed_s.pop(run, None)
+            self._forget(run)
+        try:
+            answers = self._handle(event)
+        except Unplanned as error:
+            return self._give_up(error)
+        return answers if isinstance(answers, Sequence) else self._as_far_as_it_goes(answers)
+
+    def _as_far_as_it_goes(self, answers: Iterable[Message | Flush]) -> Iterator[Message | Flush]:
+        try:
+            yield from answers
+        except Unplanned as error:
+            yield from self._give_up(error)
+
+    def _give_up(self, error: Unplanned) -> Sequence[Message]:
+        """A run whose rule failed: it would fail at whoever plans for it."""
+        log.error("%s: %s", error.run, error)
+        self._forget(error.run)
+        self._failed[error.run] = NoPlans.of(error.run, self._name, error, ends=True)
+        return (self._failed[error.run],)
+
+    def _forget(self, run: str) -> None:
+        for known in (self._runs, self._suspended, self._changed_s, self._failed, self._refused):
+            known.pop(run, None)
+
+    def _handle(self, event: Event) -> Iterable[Message | Flush]:
         match event:
             case Checkpoint():
                 return self._checkpoint(event)
@@ -64,6 +90,8 @@ class PlannerCore:
                 return self._receive(self._runs[event.run], event)
             case Scan():
                 self._pending.add(event)
+            case NoPlans(ends=False) if event.run in self._runs and event.process != self._name:
+                return self._excuse(event.run, event.process)
             case Membership():
                 there = {*event.names, self._name}
                 if not there.issuperset(self._workers):
@@ -123,19 +151,46 @@ class PlannerCore:
         again whose messages are forgotten here: the run begins anew, as it does for a worker that joins late.
         """
         name, rule = checkpoint.run, checkpoint.radar["planner"]["rule"]
-        if rule not in BIN_RULES:
+        if rule in TRUE_RULES:
             raise Refused(f"radar.planner.rule = {rule}: needs the truth, which no planner is told")
         if checkpoint.ended:
-            self._runs.pop(name, None)
-            self._suspended.pop(name, None)
-            self._changed_s.pop(name, None)
+            self._forget(name)
             self._pending.forget(name)
             return ()
+        if name in self._failed:
+            return (self._failed[name],)
         if name in self._runs and not self._runs[name].resend.is_rewound_by(checkpoint):
             return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
-        self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
+        try:
+            load_for("planner", checkpoint.radar, checkpoint.strategy)
+            self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
+        except PluginFailed as error:
+            return self._give_up(Unplanned(name, str(error)))
+        except PluginRefused as error:
+            return self._refuse(name, error)
+        self._refused.pop(name, None)
         self._forgive(name)
         return [*self._own(name), *self._pending.replay(name, self.handle)]
+
+    def _refuse(self, name: str, error: PluginRefused) -> Sequence[Message]:
+        """A run whose rule cannot be had here: others may have it, and by the next checkpoint it may be here, too."""
+        if self._refused.get(name) != str(error):
+            log.error("%s: %s", name, error)
+        self._refused[name] = str(error)
+        self._runs.pop(name, None)
+        self._pending.forget(name)
+        return (NoPlans.of(name, self._name, error, ends=False),)
+
+    def _excuse(self, name: str, worker: str) -> Iterable[Message | Flush]:
+        """Take the tracks of a worker that cannot plan for a run, until it no longer says so."""
+        suspended = self._suspended.setdefault(name, {})
+        is_known, suspended[worker] = worker in suspended, self._now_s + SUSPENDED_S
+        if is_known or worker not in self._workers:
+            return ()
+        self._forgive(name)
+        self._changed_s[name] = self._now_s
+        self._runs[name].await_no_offer()
+        return self._own(name)
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
         run, owner = self._runs[name], self._owner(name)

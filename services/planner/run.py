@@ -16,6 +16,7 @@ from cogradar.shared.protocol.admission import check_dwell, check_scan, check_sn
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
 from cogradar.shared.protocol.orders import under
 from cogradar.shared.protocol.recovery import Handover, History, Snapshot
+from cogradar.shared.scenario.plugins.names import PluginFailed
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.model import TrackerModel
@@ -23,6 +24,14 @@ from cogradar.shared.wire.runner import Flush
 
 Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
 KEPT_SCANS = 512  # newest ones of each run, from which a track that changes hands is rebuilt without a recall
+
+
+class Unplanned(Exception):
+    """A rule of somebody's own failed in this run."""
+
+    def __init__(self, run: str, reason: str) -> None:
+        super().__init__(reason)
+        self.run = run
 
 
 class PlannedRun:
@@ -283,7 +292,10 @@ class PlannedRun:
         track.planned = state.k
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
-        decision = decide(*self._settings(state.k), state, has_time)
+        try:
+            decision = decide(*self._settings(state.k), state, has_time)
+        except PluginFailed as error:
+            raise Unplanned(self._run, str(error)) from error
         if self._model.existence.is_over(state, max(decision.chances.tolist(), default=0.0)):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(

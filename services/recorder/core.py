@@ -16,7 +16,7 @@ from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
-from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
+from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,
@@ -32,7 +32,7 @@ from cogradar.shared.protocol.messages import (
     Waveform,
 )
 from cogradar.shared.protocol.orders import in_force, text_of
-from cogradar.shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.recovery import NoPlans, NoWaveforms, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.wire.codec import BadMessage, decode, encode
 
@@ -96,6 +96,8 @@ class RecorderCore:
                 answers = self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
             case Command():
                 answers = self._command(event)
+            case NoPlans() | NoWaveforms():
+                answers = self._hindered(event)
             case ScanRecall() | WaveformRecall():
                 answers = self._recall(event) if self._knows(event.run) else ()
             case Tick():
@@ -187,6 +189,18 @@ class RecorderCore:
         known = self._runs.get(run)
         k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
         return RunEnd(run=run, k=k, t=t, status="stopped", reason=BY_USER)
+
+    def _hindered(self, by: NoPlans | NoWaveforms) -> Sequence[Message]:
+        """A process cannot do its part of a run: end it, or say in the journal what it waits for."""
+        if (run := self._runs.get(by.run)) is None or run.end is not None:
+            return ()
+        reason = f"{by.process}: {by.reason}"[:MAX_REASON]
+        if by.ends:
+            end = {"run": by.run, "k": max(run.k - 1, 0), "t": run.t, "status": "failed", "reason": reason}
+            return self._end(RunEnd.model_validate(end))
+        if run.hinder(by.process, reason):
+            self._journal.hinder(by.run, run.hindrances)
+        return ()
 
     def _command(self, command: Command) -> Sequence[Message]:
         """Grant a command, or refuse it, and say so in the journal; the order is durable before anybody hears of it."""

@@ -117,6 +117,10 @@ class Journal(Database):
         """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""
         self.write("UPDATE run SET status = 'quarantined', reason = ? WHERE run = ?", reason, run)
 
+    def hinder(self, run: str, reason: str) -> None:
+        """Say what a run that goes on is hindered by."""
+        self.write("UPDATE run SET reason = ? WHERE run = ? AND status = 'running'", reason, run)
+
     def give_up_unfinished(self) -> None:
         """Mark the runs that have not ended as failed: the lock is ours, so whoever played them is gone."""
         self._end("status = 'running'", (), "failed", INTERRUPTED, None)

@@ -38,6 +38,8 @@ REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 OVERDUE_S = 3.0
 OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
+MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
+MAX_REASON = 500  # characters of it, all together
 
 
 @dataclass
@@ -69,6 +71,7 @@ class RecordedRun:
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell
         self.end: RunEnd | None = None
+        self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
         self._longest = 0  # ... of a dwell
@@ -103,6 +106,19 @@ class RecordedRun:
                 answered = message.k + isinstance(message, Waveform)
                 check_parts(message, self._radar)
                 check_roster(message.roster, message.beams, self._radar, answered)
+
+    def hinder(self, process: str, reason: str) -> bool:
+        """Note why a process cannot do its part; whether that is news."""
+        is_known = process in self._hindered or len(self._hindered) < MAX_HINDERED
+        is_news = is_known and self._hindered.get(process) != reason
+        if is_news:
+            self._hindered[process] = reason
+        return is_news
+
+    @property
+    def hindrances(self) -> str:
+        """What processes cannot do their part for."""
+        return "; ".join(self._hindered[process] for process in sorted(self._hindered))[:MAX_REASON]
 
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""

@@ -153,7 +153,7 @@ def _play(
     notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
-    return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
+    return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start), notify)
 
 
 def wait_until_alive(
@@ -199,8 +199,9 @@ def _watch(
     check: Callable[[], None],
     report: Callable[[Progress], None],
     resend_start: Callable[[], None],
+    notify: Callable[[str], None],
 ) -> Result:
-    latest, changed = None, began
+    latest, changed, told = None, began, ""
     while True:
         check()
         asked, now, done = time.monotonic(), None, None
@@ -214,6 +215,9 @@ def _watch(
         took = time.monotonic() - asked
         if now is not None:
             report(now)
+        if now is not None and now.hindered not in {"", told}:
+            told = now.hindered
+            notify(f"takes no part: {told}")
         if done is not None:
             return done
         if now is not None and (latest is None or now.k != latest.k or now.waiting_for == NO_ROOM):

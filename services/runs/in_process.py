@@ -11,7 +11,7 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.runs.oracle import Foresight, KnowingPlanner
-from cogradar.services.runs.run import Progress, Result, ending, progress, result
+from cogradar.services.runs.run import Progress, Result, ending, loaded, progress, result
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.shared.protocol.messages import RunCancel, RunStart
 from cogradar.shared.protocol.topics import Role
@@ -38,7 +38,7 @@ def play(
 
     Raises BadInput if it has no end, RunFailed if it does not reach it, Interrupted if `stop` is set meanwhile.
     """
-    ending(start)
+    loaded(ending(start))
     began = next_report = time.monotonic()
     store = store or in_memory()
     network = LocalNetwork()

@@ -20,6 +20,7 @@ from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.services.web.address import inherited, listen, url
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.plugins.sources import VARIABLE, allowance
 from cogradar.shared.wire.session import CONFIG_VARIABLE, free_port
 
 SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
@@ -181,7 +182,7 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
-        environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+        environment = os.environ | {"PYTHONUNBUFFERED": "1", VARIABLE: allowance()}
         if self._certificates is not None:
             environment[CONFIG_VARIABLE] = str(self._certificates / f"{role}.local" / SETTINGS)
             command += ["--allow", str(self._certificates / ALLOWED)] if role is Role.ROUTER else []

@@ -14,9 +14,10 @@ from cogradar.services.errors import BadInput
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart
+from cogradar.shared.scenario.plugins.kinds import RULE
+from cogradar.shared.scenario.plugins.resolver import resolve
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.scenario.tables import TRUE_RULES, implementation
 from cogradar.shared.scoring.matching import associate
 from cogradar.shared.signal.array import angle_bin, in_plane, spatial_frequency
 from cogradar.shared.wire.runner import Core, Flush
@@ -44,7 +45,7 @@ class Foresight:
         rule = scenario.radar.planner.rule
         if scenario.world is None or front_end != Start.front_end:
             raise BadInput(f"radar.planner.rule = {rule}: knows the truth, so it must be simulated")
-        self._rule: TrueRule = implementation(TRUE_RULES[rule])
+        self._rule: TrueRule = resolve(RULE, rule)
         self._is_asked = start.strategy is not Strategy.ORTHOGONAL  # which tests every cell anyway
         self._flights = Flights(scenario.world, scenario.radar.motion.dt_s, start.seed)
         self._n_bin = scenario.radar.array.n_bin

@@ -12,6 +12,10 @@ from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.limits import NO_END, UNLIMITED
+from cogradar.shared.scenario.plugins.kinds import STRATEGY
+from cogradar.shared.scenario.plugins.names import PluginError
+from cogradar.shared.scenario.plugins.resolver import load_for, named
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES
 
@@ -30,6 +34,7 @@ class Progress:
     targets: Rows
     complete: bool = False
     confirmed: int | None = None  # tracks, if their number is unknown
+    hindered: str = ""  # which processes cannot do their part, and why
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,23 @@ def ending(start: RunStart) -> RunStart:
     return start
 
 
+def strategy_of(thing: Any) -> Strategy:
+    """The strategy of this name, or a user's own one, with the hash of its source. Raises BadInput."""
+    try:
+        return Strategy(named(STRATEGY, thing, Path()))
+    except PluginError as error:
+        raise BadInput(f"strategy = {thing!r}: {error}") from None
+
+
+def loaded(start: RunStart) -> RunStart:
+    """The run, if all of a user's own things in it can be loaded in this process. Raises BadInput."""
+    try:
+        load_for("", start.scenario["radar"], start.strategy, start.scenario["world"])
+    except PluginError as error:
+        raise BadInput(str(error)) from None
+    return start
+
+
 def untold(scenario: Scenario) -> Scenario:
     """The scenario, if processes can play it that are not told the truth. Raises BadInput."""
     rule = scenario.radar.planner.rule
@@ -127,6 +149,7 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
         ask("summary", {"run": start.run}),
         row["status"] == "complete",
         row["confirmed"],
+        row["reason"] or "",
     )
 
 

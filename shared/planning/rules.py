@@ -1,11 +1,11 @@
 """The rules by which a track chooses the angle bin that it asks for next.
 
-A rule is a function (problem, radar, rng, has_time) -> Choice; `cogradar.shared.scenario.tables.BIN_RULES` has its
-name.
+A rule is a function (problem, radar, rng, has_time) -> Choice; `cogradar.shared.scenario.tables.BIN_RULES` has the
+built-in ones.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from cogradar.shared.planning.exact import values_of
 from cogradar.shared.planning.pomcp import SearchSettings, search, search_while
 from cogradar.shared.planning.radar_pomdp import RadarPomdp, legal_actions
+from cogradar.shared.scenario.plugins.kinds import RULE
+from cogradar.shared.scenario.plugins.names import PluginRefused
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.scenario.tables import BIN_RULES, implementation
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.tracking.motion import mean_state, predicted_bins, predicted_mean
 
 # Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one: of a belief over
 # three bins, 2.5 visits chose a bin less probable than the best by 0.13 on average, 10 visits by 0.01.
 MIN_VISITS = 10
+MAX_SIMULATIONS = 2**31 - 1  # that a choice can say
 
 
 class Choice(NamedTuple):
@@ -50,8 +53,36 @@ def chosen_bin(
     has_time: Callable[[], bool] | None = None,
 ) -> Choice:
     """Bin that the radar's rule chooses for a target."""
-    rule: BinRule = implementation(BIN_RULES[radar.planner.rule])
+    rule: BinRule = resolve(RULE, radar.planner.rule)
     return rule(problem, radar, rng, has_time)
+
+
+def guarded(rule: Any, call: Caller) -> BinRule:
+    """A user's own rule, whose bins are on the grid. Raises PluginRefused if it cannot be called."""
+    if not callable(rule):
+        raise PluginRefused(f"{call.short}: must be a function (problem, radar, rng, has_time) -> Choice")
+
+    def asked(
+        problem: RadarPomdp,
+        radar: RadarConfig,
+        rng: np.random.Generator,
+        has_time: Callable[[], bool] | None = None,
+    ) -> Choice:
+        answer = call(rule, problem, radar, rng, has_time)
+        if not (isinstance(answer, tuple) and len(answer) == len(Choice._fields)):
+            raise call.failed(f"returned {answer!r}: must be a Choice of a bin and a number of simulations")
+        bin_, n_sim = answer
+        if not (_is_whole(bin_) and 0 <= bin_ < problem.n_bin):
+            raise call.failed(f"returned bin {bin_!r}: must be a whole number from 0 to {problem.n_bin - 1}")
+        if not (_is_whole(n_sim) and 0 <= n_sim <= MAX_SIMULATIONS):
+            raise call.failed(f"returned n_sim {n_sim!r}: must be a whole number from 0 to {MAX_SIMULATIONS}")
+        return Choice(int(bin_), int(n_sim))
+
+    return asked
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def most_probable_bin(particles: NDArray[np.float64], n_bin: int, dt: float) -> int:

@@ -1,20 +1,22 @@
 """Power rules, the strategies of a run: how the power is spread over the bins that the tracks ask for.
 
-A rule is a function (radar, requests) -> Emission; `cogradar.shared.scenario.tables.POWER_RULES` has its name. What it
-returns has all of radar.array.power, and no more.
+A rule is a function (radar, requests) -> Emission; `cogradar.shared.scenario.tables.POWER_RULES` has the built-in ones.
+What it returns has all of radar.array.power, and no more.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.power.equal_antennas import allocate_conventional, allocate_equal
 from cogradar.shared.power.max_min import Allocation, allocate
+from cogradar.shared.scenario.plugins.kinds import OBJECTIVE, STRATEGY
+from cogradar.shared.scenario.plugins.names import PluginRefused
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
 from cogradar.shared.scenario.radar_config import AllocationSection, RadarConfig
-from cogradar.shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
 from cogradar.shared.signal.waveform import beam_factor
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+STATUSES = ("fixed", "optimal", "inaccurate")
+TOLERANCE = 1e-6  # of the power, relative
 
 
 _NOWHERE, _NOBODY, _ALIKE = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.ones(1)
@@ -70,8 +74,52 @@ class PowerRule(Protocol):
 
 def power_rule(strategy: str) -> PowerRule:
     """The rule of a strategy."""
-    rule: PowerRule = implementation(POWER_RULES[strategy])
+    rule: PowerRule = resolve(STRATEGY, strategy)
     return rule
+
+
+def guarded(rule: Any, call: Caller) -> PowerRule:
+    """A user's own rule, whose emissions can be radiated. Raises PluginRefused if it cannot be called."""
+    if not callable(rule):
+        raise PluginRefused(f"{call.short}: must be a function (radar, requests) -> Emission")
+
+    def asked(radar: RadarConfig, requests: Requests) -> Emission:
+        answer = call(rule, radar, requests)
+        if not isinstance(answer, Emission):
+            raise call.failed(f"returned {answer!r}: must be an Emission")
+        try:
+            isotropic, status = float(answer.isotropic), str(answer.status)
+            factor = np.asarray(answer.factor, dtype=np.complex128)
+            nus, shares = (np.asarray(values, dtype=np.float64) for values in (answer.nus, answer.shares))
+        except (TypeError, ValueError) as error:
+            raise call.failed(f"returned an Emission that is none: {error}") from error
+        sent = Emission(isotropic, factor, nus, shares, status)
+        if fault := next(_faults_of(sent, radar.array.n_tx, radar.array.power, requests.nus.shape[0]), ""):
+            raise call.failed(f"returned {fault}")
+        return sent
+
+    return asked
+
+
+def _faults_of(sent: Emission, n_tx: int, power: float, n_track: int) -> Iterator[str]:
+    """What keeps an emission from being radiated; only the first is sure, as each takes what is before for good."""
+    nus, shares = sent.nus, sent.shares
+    if sent.factor.ndim != 2 or sent.factor.shape[0] != n_tx:
+        yield f"a factor of shape {sent.factor.shape}: must be ({n_tx}, r)"
+    if nus.ndim != 2 or nus.shape[0] != n_track or nus.shape[1] == 0:
+        yield f"nus of shape {nus.shape}: must be ({n_track}, L), a row of each track"
+    if shares.shape != nus.shape:
+        yield f"shares of shape {shares.shape}: must be {nus.shape}, as nus"
+    if not (np.isfinite(sent.isotropic) and np.isfinite(sent.factor).all() and np.isfinite(shares).all()):
+        yield "an isotropic power, a factor or shares that are not finite"
+    if not (np.isnan(nus) | (np.abs(nus) <= 0.5)).all():
+        yield "nus beyond -0.5 .. 0.5"
+    if sent.isotropic < 0.0 or (shares < 0.0).any():
+        yield "an isotropic power or shares below 0"
+    if sent.status not in STATUSES:
+        yield f"status {sent.status!r}: must be one of {', '.join(STATUSES)}"
+    if (radiated := sent.isotropic + float(np.sum(np.abs(sent.factor) ** 2))) > power * (1.0 + TOLERANCE):
+        yield f"a power of {radiated:.6g}: must be at most {power:.6g}"
 
 
 def orthogonal(radar: RadarConfig, requests: Requests) -> Emission:
@@ -89,7 +137,7 @@ def uniform(radar: RadarConfig, requests: Requests) -> Emission:
 
 def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
     """What the objective asks for: by default the max-min optimum, the weakest track gets the power it needs."""
-    rule: PowerRule = implementation(OBJECTIVES[radar.allocation.objective])
+    rule: PowerRule = resolve(OBJECTIVE, radar.allocation.objective)
     return rule(radar, requests)
 
 

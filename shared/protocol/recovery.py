@@ -23,6 +23,30 @@ from cogradar.shared.protocol.fields import (
     are_divisors,
 )
 from cogradar.shared.protocol.messages import Message
+from cogradar.shared.scenario.faults import printable
+
+MAX_WHY = 400  # characters
+
+
+class _Unable(Message):
+    """A process cannot do its part of a run, and says so again after each checkpoint."""
+
+    process: ProcessName
+    reason: Annotated[str, Field(min_length=1, max_length=MAX_WHY)]
+    ends: bool  # whoever plays the run comes to the same, or nobody else could: it fails
+
+    @classmethod
+    def of(cls, run: str, process: str, error: Exception, *, ends: bool) -> Self:
+        """With the text of an exception."""
+        return cls(run=run, process=process, reason=printable(str(error))[:MAX_WHY] or "?", ends=ends)
+
+
+class NoPlans(_Unable):
+    """planner -> recorder, planners: others take its tracks."""
+
+
+class NoWaveforms(_Unable):
+    """allocator -> recorder."""
 
 
 class Snapshot(Message):

@@ -22,7 +22,15 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.recovery import (
+    Handover,
+    History,
+    NoPlans,
+    NoWaveforms,
+    ScanRecall,
+    Snapshot,
+    WaveformRecall,
+)
 from cogradar.shared.protocol.slots import ALL_SLOTS
 
 PROTOCOL = 8  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
@@ -105,6 +113,8 @@ TOPICS = (
     Topic("run/{run}/handover/{slots}", Handover, _P, (_P,)),
     Topic("run/{run}/snapshot/{slots}", Snapshot, _P, (_R,)),
     Topic("run/{run}/end", RunEnd, _E, (_R,)),
+    Topic("run/{run}/noplans/{slots}", NoPlans, _P, (_P, _R)),
+    Topic("run/{run}/nowaveforms", NoWaveforms, _A, (_R,)),
     Topic("run/{run}/recall/scan/{slots}", ScanRecall, _P, (_R,)),
     Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
     Topic("run/{run}/history/{to}", History, _R, (_E, _P)),

@@ -6,24 +6,26 @@ A supported combination is a row of `RADARS` with a row of `LOOKS`. Keys that no
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
+from cogradar.shared.scenario.plugins.names import is_own
 from cogradar.shared.scenario.tables import BIN_RULES, OF_CELLS, RULES
 
 Allowed = Mapping[str, Collection[Any]]  # key of `[radar]` -> its values
 
 UNKNOWN = "unknown"  # number of tracks
-A_NUMBER, A_WIDTH = "the number of targets", "a width above 0"  # any such value of a key
+A_NUMBER, A_WIDTH, YOUR_OWN = "the number of targets", "a width above 0", "your own"  # any such value of a key
+_ANY_RULE, _RULE, _OF_CELLS = (*RULES, YOUR_OWN), (*BIN_RULES, YOUR_OWN), (*OF_CELLS, YOUR_OWN)
 _BINS: Allowed = {
     "receiver.cells": ("bins",),
     "receiver.monopulse": (False,),
     "receiver.range_cell_km": (0.0,),
-    "planner.rule": RULES,
+    "planner.rule": _ANY_RULE,
     "tracks": (A_NUMBER,),
 }
 _STEERED: Allowed = {
     "belief.filter": ("likelihood",),
     "receiver.cells": ("steered",),
     "receiver.monopulse": (True, False),
-    "planner.rule": BIN_RULES,
+    "planner.rule": _RULE,
 }
 _MEASURED: Allowed = {
     "belief.filter": ("gaussian",),
@@ -53,12 +55,12 @@ LOOKS: dict[str, Allowed] = {
         "allocation.antennas": ("sum",),
         "allocation.beams": ("optimal",),
     },
-    "single looks for detections": {**_SINGLE, "allocation.objective": OF_CELLS, **_BARRIER},
+    "single looks for detections": {**_SINGLE, "allocation.objective": _OF_CELLS, **_BARRIER},
     "joint looks": {
         "planner.looks": ("joint",),
         "planner.wide_looks": (True, False),
-        "planner.rule": BIN_RULES,
-        "allocation.objective": OF_CELLS,
+        "planner.rule": _RULE,
+        "allocation.objective": _OF_CELLS,
         **_BARRIER,
     },
 }
@@ -122,7 +124,7 @@ def one_of(allowed: Collection[Any]) -> str:
 
 def as_toml(value: Any) -> str:
     """A value as a file has it; a kind of values as words."""
-    if isinstance(value, str) and value not in {A_NUMBER, A_WIDTH}:
+    if isinstance(value, str) and value not in {A_NUMBER, A_WIDTH, YOUR_OWN}:
         return f'"{value}"'
     return str(value).lower() if isinstance(value, bool) else f"{value}"
 
@@ -137,4 +139,6 @@ def _at(radar: Mapping[str, Any], key: str) -> Any:
 def _kind(key: str, value: Any) -> Any:
     if key == "tracks" and value != UNKNOWN:
         return A_NUMBER
+    if isinstance(value, str) and is_own(value):
+        return YOUR_OWN
     return A_WIDTH if key == "receiver.range_cell_km" and value > 0.0 else value

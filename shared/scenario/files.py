@@ -20,6 +20,9 @@ from cogradar.shared.scenario.document import (
 )
 from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable, unknown_keys
 from cogradar.shared.scenario.limits import MAX_ROWS
+from cogradar.shared.scenario.plugins.kinds import IN_SCENARIO
+from cogradar.shared.scenario.plugins.names import PluginRefused
+from cogradar.shared.scenario.plugins.sources import settled
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import ASSUMED, Scenario
 from cogradar.shared.scenario.section import Section
@@ -68,7 +71,8 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
             document.set(setting, option)
         except ScenarioError as error:
             unset += error.faults
-    if unread := [*_read_trajectories(document), *_read_errors(document), *_read_recording(document)]:
+    read_in = (_read_trajectories, _read_errors, _read_recording, _settle_names)
+    if unread := [fault for each in read_in for fault in each(document)]:
         raise _refusal([*unset, *unread], len(unset) + len(unread))
     scenario = _checked(document, Scenario, unset)
     _check_recording(scenario, document)
@@ -96,6 +100,23 @@ def _within(document: Document, loc: Sequence[str]) -> dict[str, Any]:
     for key in loc:
         table = table.get(key) if isinstance(table, dict) else None
     return table if isinstance(table, dict) else {}
+
+
+def _settle_names(document: Document) -> list[str]:
+    """Put names that say their source's hash into the place of a user's own ones; returns what is wrong with them."""
+    wrong = list[str]()
+    for kind in IN_SCENARIO:
+        loc = tuple(kind.stands.split("."))
+        table = _within(document, loc[:-1])
+        if not isinstance(given := table.get(loc[-1]), str):
+            continue
+        given_by = document.file_of(loc)
+        try:
+            folder, file = (given_by.parent, str(given_by)) if given_by else (Path(), "")
+            table[loc[-1]] = settled(kind, given, folder, file)
+        except PluginRefused as error:
+            wrong.append(Fault(loc, f" = {printable(given)!r}", str(error)).given_by(document.source_of(loc)))
+    return wrong
 
 
 _ARRAY = ("world", "array")

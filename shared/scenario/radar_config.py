@@ -5,21 +5,36 @@ are its assumptions.
 """
 
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cogradar.shared.scenario.section import Section, named_in
-from cogradar.shared.scenario.tables import MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES, with_defaults
+from cogradar.shared.scenario.plugins.kinds import OBJECTIVE, RULE
+from cogradar.shared.scenario.plugins.names import OWN, PATTERN, Chosen, is_own
+from cogradar.shared.scenario.section import Section
+from cogradar.shared.scenario.tables import MODES, MOST_TRACKS, with_defaults
 
 
 class Strategy(StrEnum):
-    """How the transmit power is spread: the names of the power rules."""
+    """How the transmit power is spread: the power rules that are built in; a user's own one becomes a member, too."""
 
-    ORTHOGONAL = "orthogonal"  # the three of the paper, which the program itself speaks of
+    ORTHOGONAL = "orthogonal"
     UNIFORM = "uniform"
     POWER_AWARE = "power-aware"
-    vars().update({name: name for name in POWER_RULES if name not in {"orthogonal", "uniform", "power-aware"}})
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if not isinstance(value, str) or not is_own(value):
+            return None
+        own = str.__new__(cls, value)
+        own._name_ = own._value_ = value
+        return own
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, *_: Any) -> dict[str, Any]:
+        """What there is, and what a user's own name looks like."""
+        own = {"type": "string", "pattern": PATTERN, "description": f"your own: {OWN}, with its hash"}
+        return {"type": "string", "title": cls.__name__, "anyOf": [{"enum": list(cls)}, own]}
 
 
 class ArraySection(Section):
@@ -154,8 +169,8 @@ class PlannerSection(Section):
 
     rule: Annotated[
         str,
-        named_in(RULES),
-        Field(json_schema_extra={"enum": list(RULES)}, description="by which a track chooses its next bin"),
+        Chosen(RULE),
+        Field(description="by which a track chooses its next bin"),
     ]
     looks: Annotated[
         Literal["single", "joint"],
@@ -185,9 +200,8 @@ class AllocationSection(Section):
 
     objective: Annotated[
         str,
-        named_in(OBJECTIVES),
+        Chosen(OBJECTIVE),
         Field(
-            json_schema_extra={"enum": list(OBJECTIVES)},
             description="of power-aware beams: most echo for the weakest track; most detections expected, which joint"
             " looks mean if it is left out; or a few bright looks, those that tell most of where targets will be",
         ),

@@ -1,12 +1,10 @@
 """What can be chosen by name: one dictionary each, name -> where its implementation is, "module:attribute".
 
-An extension is a file of its own and a line here (docs/howto/extending.md). Addresses, not the things themselves: the
-names are checked by those who must not load a solver, or must not know the world.
+These are the built-in ones; `plugins` finds them, and a user's own (docs/howto/extending.md). Addresses, not the things
+themselves: the names are checked by those who must not load a solver, or must not know the world.
 """
 
 from collections import ChainMap
-from functools import cache
-from pkgutil import resolve_name
 from typing import Any
 
 POWER_RULES = {  # how the transmit power is spread: a run's strategy
@@ -135,9 +133,3 @@ def marked(text: str, rule: str, most: int | None = None) -> str:
     if rule not in TRUE_RULES:
         return text[:most]
     return text.removesuffix(KNOWS_TRUTH)[: None if most is None else most - len(KNOWS_TRUTH)] + KNOWS_TRUTH
-
-
-@cache
-def implementation(address: str) -> Any:
-    """What is at an address of these tables."""
-    return resolve_name(address)

@@ -11,8 +11,10 @@ from pydantic import FailFast, Field, field_validator, model_validator
 
 from cogradar.shared.scenario.document import check_rows
 from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, SIGNAL
+from cogradar.shared.scenario.plugins.names import Chosen
 from cogradar.shared.scenario.section import Section, named_in
-from cogradar.shared.scenario.tables import DISTURBANCES, FROM_FILE, SIGNALS
+from cogradar.shared.scenario.tables import FROM_FILE
 from cogradar.shared.signal.array import in_plane
 from cogradar.shared.signal.recording import AXES, Layout, Recording, read, sha256
 
@@ -78,7 +80,7 @@ class RecordingSection(Section):
 class DisturbanceSection(Section):
     """Which disturbance the world draws."""
 
-    model: Annotated[str, named_in(DISTURBANCES), Field(json_schema_extra={"enum": list(DISTURBANCES)})]
+    model: Annotated[str, Chosen(DISTURBANCE)]
     recording: RecordingSection | None = None
 
     @model_validator(mode="after")
@@ -362,9 +364,8 @@ class WorldConfig(Section):
     ] = "constant"
     signal: Annotated[
         str,
-        named_in(SIGNALS),
+        Chosen(SIGNAL),
         Field(
-            json_schema_extra={"enum": list(SIGNALS)},
             description="cells: each look has a disturbance of its own and hears only the targets in its main lobe, as"
             " published; array: all looks of a range cell are tested with one data set, which has the echoes of all"
             " targets",

@@ -4,13 +4,15 @@ Symbols: c_n = w_n + sum_i a_i c_{n-i}, autoregressive; A(z) = prod_i (1 - p_i z
 S_c(nu) power spectrum. Poles of Lisi et al. (arXiv 2112.02628).
 """
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.scenario.tables import DISTURBANCES, implementation
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE
+from cogradar.shared.scenario.plugins.names import PluginRefused
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
 
 # (modulus, angle / 2 pi) of each pole
 _AR6 = ((0.5, -0.4), (0.6, -0.2), (0.7, 0.0), (0.4, 0.1), (0.5, 0.3), (0.6, 0.35))
@@ -23,7 +25,7 @@ _COLUMNS = 64  # partial sums that are kept side by side
 
 
 class Disturbance(Protocol):
-    """What a disturbance model can do; `cogradar.shared.scenario.tables.DISTURBANCES` has its name."""
+    """What a disturbance model can do; `cogradar.shared.scenario.tables.DISTURBANCES` has the built-in ones."""
 
     def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
         """Disturbance of one cell and dwell, (n,) complex, power 1."""
@@ -43,8 +45,40 @@ def power_spectrum(model: str, nu: ArrayLike) -> NDArray[np.float64]:
 
 
 def _of_name(model: str) -> Disturbance:
-    found: Disturbance = implementation(DISTURBANCES[model])
+    found: Disturbance = resolve(DISTURBANCE, model)
     return found
+
+
+class _Guarded:
+    """A user's own model, which draws what can be received."""
+
+    def __init__(self, model: Any, call: Caller) -> None:
+        self._model, self._call = model, call
+
+    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+        drawn = np.asarray(self._call(self._model.draw, n, rng))
+        if drawn.shape != (n,) or drawn.dtype.kind not in "fc" or not np.isfinite(drawn).all():
+            raise self._call.failed(
+                f"drew {drawn.dtype} of shape {drawn.shape}: must be ({n},) complex numbers, all finite"
+            )
+        return drawn.astype(np.complex128)
+
+    def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
+        spectrum = np.asarray(self._call(self._model.power_spectrum, nu))
+        if spectrum.shape != np.shape(nu) or spectrum.dtype.kind not in "iuf" or not (spectrum >= 0.0).all():
+            raise self._call.failed(
+                f"has a spectrum of {spectrum.dtype}, shape {spectrum.shape}: must be {np.shape(nu)} numbers from 0"
+            )
+        return spectrum.astype(np.float64)
+
+
+def guarded(model: Any, call: Caller) -> Disturbance:
+    """A user's own model, or what makes one. Raises PluginRefused if it lacks a method."""
+    made = call(model) if isinstance(model, type) else model
+    for method in ("draw", "power_spectrum"):
+        if not callable(getattr(made, method, None)):
+            raise PluginRefused(f"{call.short}: a disturbance needs the method {method}, which it has not")
+    return _Guarded(made, call)
 
 
 def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import pytest
 import cogradar
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("cogradar", "services", "shared", "deploy/scenarios", "studies")  # the last one is not in it
+SOURCES = ("cogradar", "services", "shared", "deploy/scenarios", "deploy/plugins", "studies")  # the last is not in it
 
 
 def _call(*command: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -53,9 +53,10 @@ def test_the_wheel_has_every_source_and_every_scenario(wheel: Path) -> None:
     sources = {f"cogradar/{path.relative_to(ROOT)}" for top in SOURCES[1:3] for path in (ROOT / top).rglob("*.py")}
     sources |= {str(path.relative_to(ROOT)) for path in (ROOT / "cogradar").glob("*.py")}
     scenarios = {f"cogradar/scenarios/{path.name}" for path in (ROOT / "deploy/scenarios").glob("*.toml")}
+    templates = {f"cogradar/templates/{path.name}" for path in (ROOT / "deploy/plugins").glob("*.py")}
     page = {f"cogradar/{path.relative_to(ROOT)}" for path in (ROOT / "services/web/page").iterdir()}
     data = {"cogradar/services/bench/figures.toml", "cogradar/py.typed"}
-    assert files == sources | scenarios | page | data
+    assert files == sources | scenarios | templates | page | data
 
 
 def test_the_command_line_of_a_wheel_works_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:

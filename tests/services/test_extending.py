@@ -1,4 +1,4 @@
-"""The examples of docs/howto/extending.md: one file and one line, and everything knows the name."""
+"""The examples of docs/howto/extending.md."""
 
 import os
 import re
@@ -8,69 +8,41 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services.runs.in_process import play
-from cogradar.shared.protocol.messages import RunStart
-from cogradar.shared.scenario import tables
-from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.scoring.prospects import prospects
-
 PAGE = Path("docs/howto/extending.md").read_text(encoding="utf-8")
+TEMPLATES = Path("deploy/plugins")
 
 
-def _saved(folder: Path) -> dict[str, str]:
-    """The files of the page in a folder of their own; returns its lines of the tables: name -> address there."""
-    for path, text in re.findall(r"```python\n# (shared/\S+\.py)\n(.*?)```", PAGE, re.DOTALL):
-        (folder / Path(path).name).write_text(text, encoding="utf-8")
-    lines = re.findall(r'`"(\w+)": "cogradar\.shared\.\w+\.(\w+:\w+)",`', PAGE)
-    assert {name for name, _ in lines} == {"strongest", "bursts", "ahead"}
-    return dict(lines)
+def _saved(folder: Path) -> None:
+    """The file of the page that belongs into the package, in a folder of its own."""
+    ((path, text),) = re.findall(r"```python\n# (shared/\S+\.py)\n(.*?)```", PAGE, re.DOTALL)
+    (folder / Path(path).name).write_text(text, encoding="utf-8")
 
 
-def test_a_power_rule_is_a_strategy_everywhere(tmp_path: Path) -> None:
-    address = _saved(tmp_path)["strongest"]
-    program = (
-        "import sys; from cogradar.shared.scenario import tables\n"
-        f"tables.POWER_RULES['strongest'] = {address!r}\n"
-        "from cogradar.services.cli.app import main; main()"
-    )
+@pytest.mark.parametrize("kind", [path.stem for path in sorted(TEMPLATES.glob("*.py"))])
+def test_the_examples_of_the_page_are_the_files_to_begin_with(kind: str) -> None:
+    """Which tests/services/test_plugins.py plays."""
+    assert f"```python\n{(TEMPLATES / kind).with_suffix('.py').read_text(encoding='utf-8')}```" in PAGE
 
+
+def test_a_rule_of_somebodys_own_is_a_name_everywhere(tmp_path: Path) -> None:
     def cogradar(*arguments: str) -> str:
-        environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}:{tmp_path}"}
-        command = [sys.executable, "-c", program, *arguments]
+        command = [sys.executable, "-m", "cogradar", *arguments]
+        environment = os.environ | {"PYTHONPATH": str(Path.cwd())}
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=200, check=False, cwd=tmp_path, env=environment
+            command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path, env=environment
         )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    for strategy in ("strongest", "uniform"):
+    cogradar("new", "strategy", "mine.py")
+    assert "mine.py:strongest#" in cogradar("check", "mine.py")
+    for strategy in ("mine.py:strongest", "uniform"):
         cogradar("run", "smoke", "--in-process", "--dwells", "3", "--strategy", strategy, "--store", "c.db")
-    assert "strongest" in cogradar("run", "--help")
-    assert cogradar("query", "tracks", "--strategy", "strongest", "--store", "c.db", "--csv").count(",strongest,") == 6
-    assert "strongest" in cogradar("report", "c.db")
-    assert "strongest" in cogradar("check", "smoke")
-
-
-def test_a_disturbance_is_a_model_of_the_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(tables.DISTURBANCES, "bursts", _saved(tmp_path)["bursts"])
-    scenario = load("smoke", ["world.disturbance.model=bursts", "dwells=3"])
-    assert all(0.0 < p <= 1.0 for one in prospects(scenario) for p in one.p_d.values())
-    result = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, None))
-    assert result.run["status"] == "complete"
-    as_before = play(RunStart.of(load("smoke", ["dwells=3"]), Strategy.POWER_AWARE, 1, None))
-    assert result.run["digest"] != as_before.run["digest"]
-
-
-def test_a_rule_of_looking_is_a_rule_of_the_planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(tables.BIN_RULES, "ahead", _saved(tmp_path)["ahead"])
-    digests = {}
-    for rule in ("pomcp", "ahead"):
-        scenario = load("smoke", [f"radar.planner.rule={rule}", "dwells=20"])
-        digests[rule] = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, None)).run["digest"]
-    assert digests["ahead"] != digests["pomcp"]  # no plan of it has simulations
+    rows = cogradar("query", "tracks", "--strategy", "mine.py:strongest", "--store", "c.db", "--csv")
+    assert len(re.findall(r",mine\.py:strongest#[0-9a-f]{16},", rows)) == 6
+    assert "mine.py:strongest#" in cogradar("report", "c.db")
+    cogradar("new", "disturbance", "bursts.py")
+    assert "valid" in cogradar("check", "smoke", "--set", "world.disturbance.model=bursts.py:BURSTS")
 
 
 _WITH_METRIC = """

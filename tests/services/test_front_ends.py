@@ -168,10 +168,10 @@ def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> 
     [
         ("hardware", "must be simulated, recorded:FILE"),
         ("receiver.py:", "must be simulated, recorded:FILE"),
-        ("nowhere.py:Receiver", "no such file"),
+        ("nowhere.py:Receiver", "No such file"),
         ("no_such_package.module:Receiver", "No module named"),
-        ("math:Receiver", "there is no Receiver"),
-        ("math:pi", "there is no pi that can be called"),
+        ("json:Receiver", "there is no Receiver"),
+        ("json:__all__", "must be a class or a function"),
         ("recorded:nowhere.db", "no such file"),
         ("decimal:Context", "needs the method transmit"),
     ],

@@ -13,7 +13,7 @@ from cogradar.services.planner import owned_track
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Truth
-from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.recovery import Handover, History, NoPlans
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
@@ -122,8 +122,9 @@ def _truth(network: Tapped, start: RunStart) -> list[Truth]:
 
 def test_what_planners_and_allocator_received_is_everything_they_can(network: Tapped) -> None:
     readable = {topic.message for role in (Role.PLANNER, Role.ALLOCATOR) for topic in topics_read_by(role)}
-    assert readable == {Checkpoint, Scan, Plan, History, Handover}  # the last has numbers of tracks alone
-    assert set(network.received) == readable - {Handover}
+    # Handovers have numbers of tracks alone; that a planner cannot plan has its own words.
+    assert readable == {Checkpoint, Scan, Plan, History, Handover, NoPlans}
+    assert set(network.received) == readable - {Handover, NoPlans}
     recalled = {type(decode(inner)).__name__ for payload in network.received[History] for inner in _inner(payload)}
     assert {"Scan", "Snapshot"} <= recalled <= {"Scan", "Snapshot", "Waveform"}
     assert {type(event) for event in network.other} == {Membership}

@@ -17,6 +17,8 @@ from cogradar.services.cli.app import app
 from cogradar.services.cli.console import CONFIG_VARIABLE, call, command, endpoints, print_csv, say, wrong_usage
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
 from cogradar.shared.scenario.files import ScenarioError
+from cogradar.shared.scenario.plugins.names import names_of
+from cogradar.shared.scenario.radar_config import Strategy
 
 
 def test_standard_output_without_a_reader_is_a_line_and_no_traceback(
@@ -79,7 +81,7 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
         (["run", "smoke", "--seed", "-1"], "--seed = -1: must be an integer >= 0 and <= 9223372036854775807"),
         (["run", "smoke", "--planners", "x"], "--planners = x: must be an integer >= 1 and <= 64"),
         (["run", "smoke", "--rate", "nan"], "--rate = nan: must be a number >= 0.001 and <= 1000.0"),
-        (["run", "smoke", "--strategy", "best"], "--strategy = best: must be one of orthogonal, uniform, power-aware"),
+        (["run", "smoke", "--strategy", "best"], f"--strategy: 'best': must be one of {names_of(list(Strategy))}"),
         (["report", "a.db", "--seed", "x"], "--seed = x: must be an integer >= 0 and <= 9223372036854775807"),
         *(
             (

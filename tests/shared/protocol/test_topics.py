@@ -15,7 +15,7 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.recovery import Handover, History, NoPlans
 from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME, PROTOCOL, QUERY, TOPICS, Role, Topic, topics_read_by
 from docs.generator import messages as generated
 from tests.samples import sample
@@ -44,7 +44,7 @@ def test_who_reads_what() -> None:
         Role.OPERATOR: {Checkpoint},
         Role.ROUTER: set(),
         Role.EMULATOR: {EmulatorCheckpoint, Waveform, History},
-        Role.PLANNER: {Checkpoint, Scan, History, Handover},
+        Role.PLANNER: {Checkpoint, Scan, History, Handover, NoPlans},
         Role.ALLOCATOR: {Checkpoint, Plan, Scan},
         Role.RECORDER: set(BY_MESSAGE) - {EmulatorCheckpoint, History, Handover},
         Role.METRICS: {Checkpoint},
@@ -56,8 +56,8 @@ def test_only_the_recorder_receives_the_truth() -> None:
 
 
 def test_who_reads_what_its_own_role_says() -> None:
-    """Workers that hand tracks over, and a recorder that was away while another one took the lead."""
-    assert [topic.message for topic in TOPICS if topic.producer in topic.readers] == [Checkpoint, Handover]
+    """Workers that hand tracks over or cannot plan, and a recorder that was away while another one took the lead."""
+    assert [topic.message for topic in TOPICS if topic.producer in topic.readers] == [Checkpoint, Handover, NoPlans]
     assert all(topic.readers for topic in TOPICS)
 
 
@@ -83,4 +83,4 @@ def test_keys() -> None:
 def test_the_protocol_has_another_number_when_its_messages_have_changed() -> None:
     """If this fails: raise PROTOCOL if older programs cannot read or send the messages any more, and put both here."""
     said = "\n".join((generated.topics(), generated.keys(), generated.messages()))
-    assert (PROTOCOL, hashlib.sha256(said.encode()).hexdigest()[:8]) == (8, "8c5e8f62")
+    assert (PROTOCOL, hashlib.sha256(said.encode()).hexdigest()[:8]) == (8, "74cd2b67")

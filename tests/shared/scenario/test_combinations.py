@@ -7,6 +7,7 @@ import pytest
 
 from cogradar.shared.scenario.combinations import A_NUMBER, A_WIDTH, KEYS, ROWS, cures
 from cogradar.shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.plugins.names import OWN
 from tests.golden import SHIPPED, VARIANTS
 
 
@@ -28,7 +29,7 @@ def test_what_has_a_digest_is_supported(name: str) -> None:
         (
             ("planner.looks=joint", "allocation.objective=max-min"),
             'allocation.objective = "max-min": no supported combination; nearest: set allocation.objective ='
-            ' "detections" or "urgency" ("robust filter, joint looks")',
+            ' "detections", "urgency" or your own ("robust filter, joint looks")',
         ),
         (
             ("allocation.objective=urgency", "allocation.solver=sdp"),
@@ -60,14 +61,14 @@ def test_what_has_a_digest_is_supported(name: str) -> None:
         ),
         (
             ("planner.rule=oracle", "planner.looks=joint"),
-            'planner.rule = "oracle": no supported combination; nearest: set planner.rule = "pomcp", "mode", "mean" or'
-            ' "exact" ("robust filter, joint looks")',
+            'planner.rule = "oracle": no supported combination; nearest: set planner.rule = "pomcp", "mode", "mean",'
+            ' "exact" or your own ("robust filter, joint looks")',
         ),
         (
             ("receiver.cells=steered", "planner.rule=oracle"),
             'receiver.cells = "steered", planner.rule = "oracle": no supported combination; nearest: set'
-            ' receiver.cells = "bins" ("robust filter, single looks"); or set planner.rule = "pomcp", "mode", "mean" or'
-            ' "exact" ("steered cells, single looks")',
+            ' receiver.cells = "bins" ("robust filter, single looks"); or set planner.rule = "pomcp", "mode", "mean",'
+            ' "exact" or your own ("steered cells, single looks")',
         ),
         (
             ("tracks=unknown",),
@@ -114,7 +115,7 @@ def test_other_faults_do_not_hide_a_combination_and_those_of_its_keys_do() -> No
     lines = faults("planner.wide_looks=true", "planner.gamma=2")
     assert len(lines) == 2
     assert "planner.wide_looks = true: no supported combination" in lines[1]
-    hidden = "--set radar.allocation.objective=most: must be one of max-min, detections, urgency"
+    hidden = "--set radar.allocation.objective=most: must be one of max-min, detections, urgency, or your own: " + OWN
     assert faults("planner.wide_looks=true", "allocation.objective=most") == (hidden,)
     (line,) = faults("tracks=unknown", "fidelity=exact")
     assert "must be one of paper, robust, best, best-range" in line

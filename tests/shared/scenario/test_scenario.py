@@ -12,6 +12,7 @@ import pytest
 from cogradar.shared.scenario.cross_checks import check_apart
 from cogradar.shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
 from cogradar.shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
+from cogradar.shared.scenario.plugins.names import names_of
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import DISTURBANCES, FIDELITY
 
@@ -158,7 +159,7 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
         (
             '"ar6-t"',
             '"ar7"',
-            f"world.disturbance.model = 'ar7': must be one of {', '.join(DISTURBANCES)}",
+            f"world.disturbance.model = 'ar7': must be one of {names_of(DISTURBANCES)}",
         ),
         ("[world.disturbance]", '[world]\nrcs = "swerling2"\n[world.disturbance]', f"world.rcs = 'swerling2': {RCS}"),
         ("[world.disturbance]", "[world]\nrcs = 1\n[world.disturbance]", f"world.rcs = 1: {RCS}"),

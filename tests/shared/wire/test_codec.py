@@ -37,7 +37,15 @@ from cogradar.shared.protocol.orders import (
     PowerLimit,
     SectorSearch,
 )
-from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.recovery import (
+    Handover,
+    History,
+    NoPlans,
+    NoWaveforms,
+    ScanRecall,
+    Snapshot,
+    WaveformRecall,
+)
 from cogradar.shared.protocol.topics import BY_NAME
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
@@ -180,6 +188,10 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     Snapshot: st.tuples(SIZE, SIZE, SIZE).flatmap(lambda sizes: snapshots(*sizes)),
     ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1, unique=True), planner=RUN),
+    **{
+        unable: st.builds(unable, run=RUN, process=RUN, reason=st.text(min_size=1, max_size=400), ends=st.booleans())
+        for unable in (NoPlans, NoWaveforms)
+    },
     Handover: st.builds(
         Handover, run=RUN, planner=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1, unique=True), taken=st.booleans()
     ),

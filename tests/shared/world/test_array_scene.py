@@ -12,8 +12,9 @@ from scipy.stats import binom
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.document import ScenarioError
 from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.plugins.kinds import SIGNAL
+from cogradar.shared.scenario.plugins.resolver import resolve
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.scenario.tables import SIGNALS, implementation
 from cogradar.shared.scenario.world_config import WorldEchoSection
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from cogradar.shared.signal.looks import NO_RANGE, Look
@@ -202,7 +203,7 @@ def test_a_target_at_a_height_is_measured_as_one_in_the_plane_at_its_distance_fr
     def scan(height_km: float, x: float) -> list[Any]:
         target = scenario.simulated.targets[0].model_copy(update={"state": [x, 0.0, 30.0, 0.0], "height_km": height_km})
         world = scenario.simulated.model_copy(update={"targets": [target], "rcs": "constant"})
-        scene: Scene = implementation(SIGNALS[world.signal])(world, scenario.radar, SEED, 0)
+        scene: Scene = resolve(SIGNAL, world.signal)(world, scenario.radar, SEED, 0)
         assert scene.states[0, 0] == x
         cells = range(60, 120) if scenario is not STEERED else ()
         looks = [look_at(nu, cells) for nu in (0.3, 0.32, 0.34, 0.36)]

@@ -1,0 +1,1 @@
+"""Commands for authors of things of their own."""

@@ -1,0 +1,74 @@
+"""What `cogradar check FILE.py` finds, and the files of `cogradar new`."""
+
+from pathlib import Path
+
+import pytest
+
+from cogradar.services.errors import BadInput
+from cogradar.services.plugins import kit, templates
+from cogradar.shared.scenario.plugins import resolver, sources
+
+
+@pytest.fixture(autouse=True)
+def _allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "_allowed", sources._Allowed())
+    monkeypatch.setattr(resolver, "_found", {})
+
+
+@pytest.mark.parametrize("kind", templates.kinds())
+def test_each_file_to_begin_with_is_as_it_should_be(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    assert "mine.py" in templates.write(kind, file)
+    found = kit.check(str(file), kind)
+    assert [one for one in found if not one.ok] == []
+    assert len({one.name for one in found}) == 1
+    assert f"as {kind} mine.py:" in found[0].found
+    assert {one.check for one in found} >= {"answers", "determinism", "random numbers", "arguments", "cost"}
+    told = {one.found.split()[1] for one in kit.check(str(file)) if one.check == "loads"}
+    assert told == {"strategy" if kind == "objective" else kind}  # which look alike
+
+
+HEAD = "import random\nimport numpy as np\nfrom cogradar.plugins import Choice\n\ncalls = []\n\n\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "check", "said"),
+    [
+        ("return Choice(99, 0)", "answers", "mine.py:f returned bin 99: must be a whole number from 0 to 15"),
+        ("return 1 / 0", "answers", "line 9: ZeroDivisionError"),
+        ("calls.append(1); return Choice(len(calls) % 16, 0)", "determinism", "another answer when asked again"),
+        ("return Choice(random.randrange(16), 0)", "random numbers", "draws from Python's or NumPy's global generator"),
+        ("return Choice(np.random.randint(16), 0)", "random numbers", "draws from Python's or NumPy's"),
+        ("problem.particles[0] = 0.0; return Choice(0, 0)", "arguments", "changes its arguments: a target in one bin"),
+    ],
+)
+def test_what_is_wrong_with_a_rule_is_found(body: str, check: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(f"{HEAD}def f(problem, radar, rng, has_time=None):\n    {body}\n")
+    found = {one.check: one for one in kit.check(str(tmp_path / "mine.py"))}
+    assert not found[check].ok
+    assert said in found[check].found
+
+
+def test_a_disturbance_of_another_power_is_found(tmp_path: Path) -> None:
+    head = "import numpy as np\n\n\nclass D:\n    def draw(self, n, rng):\n        return 3.0 * rng.normal(size=n)\n"
+    more = "    def power_spectrum(self, nu):\n        return np.ones(np.shape(nu))\n"
+    (tmp_path / "mine.py").write_text(head + more)
+    (level,) = [one for one in kit.check(f"{tmp_path}/mine.py:D") if one.check == "level"]
+    assert not level.ok
+    assert 8.8 < float(level.found.split()[2].rstrip(",")) < 9.2
+
+
+def test_what_is_no_file_to_be_checked_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.py").write_text("x = 1\n")
+    for name, said in (
+        ("empty.py", "has nothing of rule, strategy"),
+        ("nowhere.py", "No such file"),
+        ("empty.py:y", "there is no y"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            kit.check(str(tmp_path / name))
+    with pytest.raises(BadInput, match="must be one of disturbance, objective"):
+        templates.write("belief", tmp_path / "mine.py")
+    templates.write("rule", tmp_path / "mine.py")
+    with pytest.raises(BadInput, match="is there already"):
+        templates.write("rule", tmp_path / "mine.py")

@@ -1,0 +1,348 @@
+"""A user's own things, from a folder of hers: the same run everywhere; who has another source takes no part."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cogradar
+from cogradar.services import kernels
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.campaigns import campaign as campaigns
+from cogradar.services.campaigns import dask_pool
+from cogradar.services.campaigns.campaign import Campaign
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import cluster, in_process
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
+from cogradar.services.runs.run import strategy_of
+from cogradar.shared.protocol.events import Membership
+from cogradar.shared.protocol.messages import Plan, RunStart
+from cogradar.shared.protocol.recovery import NoPlans, NoWaveforms
+from cogradar.shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.plugins import resolver, sources
+from cogradar.shared.scenario.scenario import Scenario
+from tests.services.campaigns.test_dask_pool import Cluster
+from tests.services.loop import checkpoint, play, scans
+
+TEMPLATES = Path("deploy/plugins").resolve()
+NOBODY: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
+
+
+@pytest.fixture(autouse=True)
+def _allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test allows this process to load is forgotten after it."""
+    monkeypatch.setattr(sources, "_allowed", sources._Allowed())
+    monkeypatch.setattr(resolver, "_found", {})
+    monkeypatch.delenv(sources.VARIABLE, raising=False)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with one thing of each kind."""
+    return shutil.copytree(TEMPLATES, tmp_path / "own", ignore=shutil.ignore_patterns("__pycache__"))
+
+
+def _forget() -> None:
+    """Be a process that was told nothing."""
+    sources._allowed.places.clear()
+    resolver._found.clear()
+
+
+def _start(folder: Path, *settings: str, dwells: int = 12, run: str = "r") -> RunStart:
+    """A run with all of them."""
+    own = [
+        f"radar.planner.rule={folder}/rule.py:ahead",
+        f"world.disturbance.model={folder}/disturbance.py:BURSTS",
+        *settings,
+    ]
+    strategy = strategy_of(f"{folder}/strategy.py:strongest")
+    return RunStart.of(load("smoke", own), strategy, 1, dwells).model_copy(update={"run": run})
+
+
+def _failing(folder: Path, file: str, name: str, body: str) -> str:
+    """A file with a function that does something else."""
+    (folder / file).write_text(f"def {name}(*_):\n    {body}\n", encoding="utf-8")
+    return f"{folder / file}:{name}"
+
+
+def test_a_run_names_its_sources_and_no_place(folder: Path) -> None:
+    start = _start(folder)
+    said = start.model_dump_json()
+    for name in ("rule.py:ahead#", "disturbance.py:BURSTS#", "strategy.py:strongest#"):
+        assert name in said
+    assert str(folder) not in said
+    assert RunStart.model_validate_json(said) == start
+
+
+def test_in_process_by_name_and_as_objects_it_is_the_same_run(folder: Path) -> None:
+    digest = in_process.play(_start(folder)).run["digest"]
+    assert digest == in_process.play(_start(folder), planners=2).run["digest"]
+    assert digest != in_process.play(RunStart.of(load("smoke"), strategy_of("uniform"), 1, 12)).run["digest"]
+    files = ("rule.py", "strategy.py", "disturbance.py")
+    namespace: dict[str, Any] = {}  # as a notebook has them
+    exec("\n".join((folder / file).read_text() for file in files), namespace)  # noqa: S102 - they are ours
+    result = cogradar.run(
+        "smoke",
+        namespace["strongest"],
+        dwells=12,
+        rule=namespace["ahead"],
+        disturbance=namespace["BURSTS"],
+    )
+    assert result.digest == digest
+    assert result.strategy.startswith("__main__:strongest#")
+
+
+def test_an_objective_and_a_file_beside_its_scenario(folder: Path) -> None:
+    (folder / "mine.toml").write_text('extends = "smoke"\nradar.allocation.objective = "objective.py:equal_echoes"\n')
+    with pytest.raises(ScenarioError, match=r"objective\.py: a scenario file names it, which by itself runs nothing"):
+        load(str(folder / "mine.toml"))
+    sources.allow(str(folder))
+    scenario = load(str(folder / "mine.toml"))
+    assert scenario.radar.allocation.objective.startswith("objective.py:equal_echoes#")
+    by_file = cogradar.run(scenario, dwells=6)
+    assert by_file.digest == cogradar.run("smoke", dwells=6, objective=f"{folder}/objective.py:equal_echoes").digest
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("return 1 / 0", "bad.py, line 2: ZeroDivisionError: division by zero"),
+        ("return 3", "bad.py:f returned 3: must be a Choice of a bin and a number of simulations"),
+        ("return 16, 0", "bad.py:f returned bin 16: must be a whole number from 0 to 15"),
+        ("return 2.0, 0", "bad.py:f returned bin 2.0: must be a whole number from 0 to 15"),
+        ("return 2, -1", "bad.py:f returned n_sim -1: must be a whole number from 0 to 2147483647"),
+    ],
+)
+def test_a_rule_that_fails_fails_its_run(folder: Path, body: str, said: str) -> None:
+    scenario = load("smoke", [f"radar.planner.rule={_failing(folder, 'bad.py', 'f', body)}"])
+    with pytest.raises(RunFailed, match=r"planner-0: bad\.py:f") as failure:
+        in_process.play(RunStart.of(scenario, strategy_of("power-aware"), 1, 4))
+    assert said in str(failure.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("raise KeyError('x')", "bad.py, line 2: KeyError: 'x'"),
+        ("return None", "bad.py:f returned None: must be an Emission"),
+        ("return E(1.0, Z((15, 1)), Z((2, 1)), Z((2, 1)))", "a factor of shape (15, 1): must be (16, r)"),
+        ("return E(1.0, Z((16, 0)), Z((3, 1)), Z((3, 1)))", "nus of shape (3, 1): must be (2, L), a row of each track"),
+        ("return E(1.0, Z((16, 0)), Z((2, 1)), Z((2, 2)))", "shares of shape (2, 2): must be (2, 1), as nus"),
+        ("return E(float('nan'), Z((16, 0)), Z((2, 1)), Z((2, 1)))", "that are not finite"),
+        ("return E(1.0, Z((16, 0)), Z((2, 1)) + 0.6, Z((2, 1)))", "nus beyond -0.5 .. 0.5"),
+        ("return E(1.0, Z((16, 0)), Z((2, 1)), Z((2, 1)) - 1.0)", "an isotropic power or shares below 0"),
+        ("return E(1.0, Z((16, 0)), Z((2, 1)), Z((2, 1)), 'good')", "status 'good': must be one of fixed"),
+        ("return E(1.5, Z((16, 0)), Z((2, 1)), Z((2, 1)))", "a power of 1.5: must be at most 1"),
+        ("return E('much', Z((16, 0)), Z((2, 1)), Z((2, 1)))", "an Emission that is none"),
+    ],
+)
+def test_a_strategy_that_fails_fails_its_run(folder: Path, body: str, said: str) -> None:
+    body = f"from numpy import zeros as Z; from cogradar.plugins import Emission as E\n    {body}"
+    strategy = strategy_of(_failing(folder, "bad.py", "f", body))
+    with pytest.raises(RunFailed, match=r"allocator-0: bad\.py:f") as failure:
+        in_process.play(RunStart.of(load("smoke"), strategy, 1, 4))
+    assert said.replace("line 2", "line 3") in str(failure.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("return 1 / 0", "line 3: ZeroDivisionError"),
+        ("return [0.0] * (n - 1)", "drew float64 of shape (255,): must be (256,) complex numbers, all finite"),
+        ("return [float('inf')] * n", "drew float64 of shape (256,)"),
+        ("return ['a'] * n", "drew <U1 of shape (256,)"),
+    ],
+)
+def test_a_disturbance_that_fails_fails_its_run(folder: Path, body: str, said: str) -> None:
+    text = (
+        f"class D:\n    def draw(self, n, rng):\n        {body}\n    def power_spectrum(self, nu):\n        return nu\n"
+    )
+    (folder / "bad.py").write_text(text)
+    scenario = load("smoke", [f"world.disturbance.model={folder}/bad.py:D"])
+    with pytest.raises(RunFailed, match=r"front end: world.disturbance.model: bad.py:D") as failure:
+        in_process.play(RunStart.of(scenario, strategy_of("uniform"), 1, 4))
+    assert said in str(failure.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("raise OSError('no device')", "cannot be imported: {file}, line 1: OSError: no device"),
+        ("f =", "cannot be imported: {file}, line 1: SyntaxError"),
+        ("import sys; sys.exit(3)", "cannot be imported: {file}, line 1: SystemExit: 3"),
+        ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("g = 1", "there is no f in {file}"),
+        ("f = 1", "must be a function (problem, radar, rng, has_time) -> Choice"),
+    ],
+)
+def test_what_cannot_be_loaded_is_said_before_a_run(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "bad.py"
+    file.write_text(text)
+    scenario = load("smoke", [f"radar.planner.rule={file}:f"])
+    with pytest.raises(BadInput) as failure:
+        in_process.play(RunStart.of(scenario, strategy_of("uniform"), 1, 4))
+    assert said.format(file=file) in str(failure.value)
+
+
+def test_a_planner_with_another_source_says_so_and_the_others_plan(folder: Path, tmp_path: Path) -> None:
+    start = _start(folder)
+    said = play(start)
+    other = shutil.copytree(folder, tmp_path / "other")
+    (other / "rule.py").write_text((folder / "rule.py").read_text() + "\n# changed\n")
+    _forget()
+    sources.allow(str(other))
+    (changed,) = PlannerCore("b").handle(checkpoint(start.model_copy(update={"run": "r"}), k=0))
+    assert isinstance(changed, NoPlans)
+    assert not changed.ends
+    for text in (f"{other}/rule.py has source ", " here, the run has "):
+        assert text in changed.reason
+    _forget()
+    fit = PlannerCore("a")
+    fit.handle(Membership("planner", ("a", "b")))
+    sources.allow(str(folder))
+    list(fit.handle(checkpoint(start)))
+    mine = [plan for scan in scans(said) for plan in fit.handle(scan) if isinstance(plan, Plan)]
+    assert len({plan.target for plan in mine}) == 1
+    both = [*mine, *(plan for plan in fit.handle(changed) if isinstance(plan, Plan))]
+    assert {(plan.target, plan.k) for plan in both} == {(m, scan.k) for m in (0, 1) for scan in scans(said)}
+
+
+def test_what_a_process_was_not_allowed_it_does_not_load(folder: Path) -> None:
+    start = _start(folder)
+    _forget()
+    (answer,) = PlannerCore("p").handle(checkpoint(start))
+    assert isinstance(answer, NoPlans)
+    assert "rule.py: not here, or not allowed: this process loads no plug-ins" in answer.reason
+    (refused,) = AllocatorCore("a").handle(checkpoint(start))
+    assert isinstance(refused, NoWaveforms)
+    assert refused.ends  # a run that begins
+    (waits,) = AllocatorCore("a").handle(checkpoint(start, k=7, t=3))
+    assert isinstance(waits, NoWaveforms)
+    assert not waits.ends
+
+
+def test_the_journal_says_what_a_run_is_hindered_by(folder: Path) -> None:
+    start, journal = _start(folder), Journal(":memory:")
+    core = RecorderCore(journal)
+    core.handle(start)
+    hindered = NoPlans(run="r", process="b", reason="rule.py: not here", ends=False)
+    assert not core.handle(hindered)
+    core.handle(hindered.model_copy(update={"process": "a"}))
+    (row,) = journal.read("SELECT status, reason FROM run")
+    assert (row["status"], row["reason"]) == ("running", "a: rule.py: not here; b: rule.py: not here")
+    (ended,) = core.handle(NoWaveforms(run="r", process="x", reason="strategy.py: raised", ends=True))[:1]
+    assert ended.model_dump()["ended"]
+    (row,) = journal.read("SELECT status, reason FROM run")
+    assert (row["status"], row["reason"]) == ("failed", "x: strategy.py: raised")
+    journal.close()
+
+
+@pytest.mark.zenoh
+def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tmp_path: Path) -> None:
+    """Of three planners one has another rule, and the run is that of one process; who has none of it at all says so."""
+    kernels.compile_all(lambda _: None)
+    other = shutil.copytree(folder, tmp_path / "other")
+    (other / "rule.py").write_text((folder / "rule.py").read_text() + "\n# changed\n")
+    start = _start(folder, dwells=40)
+    expected = in_process.play(start).run["digest"]
+    told: list[str] = []
+    with Launcher(LocalProcesses(2), threading.Event()) as launcher:
+        environment = os.environ | {sources.VARIABLE: str(other)}
+        command = [sys.executable, "-m", "cogradar", "service", "planner", "--name", "stranger", "--with-parent"]
+        command += ["--connect", launcher.endpoint]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as stranger:
+            try:
+                cluster.wait_until_up(launcher.endpoint, [*launcher.names, "stranger"], launcher.check)
+                given = NOBODY | {"notify": told.append}
+                done = cluster.play_on(launcher.endpoint, start, **given)
+                assert done.run["digest"] == expected
+                nobodys = _start(_changed(shutil.copytree(folder, tmp_path / "third")), run="nobodys")
+                with pytest.raises(RunFailed, match=r"(strategy.py:strongest|disturbance.py:BURSTS): .* has source"):
+                    cluster.play_on(launcher.endpoint, nobodys, **given)
+            finally:
+                stranger.terminate()
+    assert [text for text in told if text.startswith("takes no part: stranger: rule.py:ahead: ")]
+
+
+def _changed(folder: Path) -> Path:
+    """The same folder, with other sources."""
+    for file in folder.glob("*.py"):
+        file.write_text(file.read_text() + "\n# changed later\n")
+    return folder
+
+
+def test_campaigns_play_them_in_processes_and_replays_need_the_source(folder: Path) -> None:
+    def cogradar_(*arguments: str, code: int = 0, **more: str) -> str:
+        command = [sys.executable, "-m", "cogradar", *arguments]
+        environment = os.environ | {"PYTHONPATH": str(Path.cwd())} | more
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=200, check=False, cwd=folder, env=environment
+        )
+        assert done.returncode == code, done.stderr
+        return done.stdout + done.stderr
+
+    digest = in_process.play(_start(folder)).run["digest"]
+    own = ("--rule", "rule.py:ahead", "--set", "world.disturbance.model=disturbance.py:BURSTS", "--dwells", "12")
+    campaign = ("--runs", "2", "--workers", "2", "--strategies", "strategy.py:strongest,uniform")
+    cogradar_("campaign", "smoke", *own, *campaign, "--store", "c.db")
+    (row,) = [
+        row
+        for row in json.loads(
+            cogradar_("query", "runs", "--store", "c.db", "--json", "--strategy", "strategy.py:strongest")
+        )
+        if row["seed"] == 1
+    ]
+    assert row["digest"] == digest
+    cogradar_("run", "smoke", "--in-process", *own, "--strategy", "strategy.py:strongest", "--store", "r.db")
+    assert "agree bit for bit" in cogradar_(
+        "replay", "--store", "r.db", "--to", "planner", COGRADAR_PLUGINS=str(folder)
+    )
+    refused = cogradar_("replay", "--store", "r.db", "--to", "planner", code=2)
+    assert "rule.py: not here, or not allowed" in refused
+    _changed(folder)
+    refused = cogradar_("replay", "--store", "r.db", "--to", "planner", "--plugins", ".", code=2)
+    assert "rule.py:ahead: " in refused
+    assert "has source" in refused
+
+
+@pytest.mark.slow
+def test_workers_of_a_dask_cluster_play_them_or_are_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, stop, nothing = _start(folder), threading.Event(), lambda *_: None
+    digest = in_process.play(start).run["digest"]
+    asked = Campaign((Scenario.model_validate(start.scenario),), (start.strategy,), 1, 1, 12)
+    workers = Cluster(tmp_path)
+    other = _changed(shutil.copytree(folder, tmp_path / "other"))
+    try:
+        workers.start("scheduler", "--host", "127.0.0.1", "--port", workers.address.rpartition(":")[2])
+        monkeypatch.setenv(sources.VARIABLE, str(folder))
+        workers.start_worker("--name", "fit")
+        workers.wait_for_workers(1)
+        store = in_memory()
+        with dask_pool.cluster(workers.address, start, notify=nothing, check=nothing) as pool:
+            campaigns.play(asked, store, pool, stop=stop)
+        assert [row["digest"] for row in store.read("SELECT digest FROM run")] == [digest]
+        monkeypatch.setenv(sources.VARIABLE, str(other))
+        workers.start_worker("--name", "changed")
+        workers.wait_for_workers(2)
+        monkeypatch.setenv(sources.VARIABLE, str(folder))
+        with (
+            pytest.raises(BadInput, match=r"\(changed\): cannot play: .*\.py:\w+: .* has source"),
+            dask_pool.cluster(workers.address, start, notify=nothing, check=nothing),
+        ):
+            pass
+    finally:
+        for process in workers.processes:
+            process.kill()
+            process.wait()
