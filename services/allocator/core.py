@@ -78,6 +78,7 @@ class AllocatorCore:
 
     def __init__(self, name: str = "allocator") -> None:
         self._name = name
+        self._refused: dict[str, str] = {}  # runs whose strategy cannot be had here, and why
         self._runs: dict[str, _Run] = {}
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -96,8 +97,10 @@ class AllocatorCore:
         """Collect, and answer when a dwell is complete or its time is over."""
         for name in self._inactivity.after(event):
             self._runs.pop(name, None)
+            self._refused.pop(name, None)
         match event:
             case Checkpoint(ended=True):
+                self._refused.pop(event.run, None)
                 self._runs.pop(event.run, None)
                 self._pending.forget(event.run)
             case Checkpoint():
@@ -157,7 +160,9 @@ class AllocatorCore:
         """A run whose strategy cannot be had here: by the next checkpoint it may. One that begins should not wait."""
         del self._runs[checkpoint.run]
         self._pending.forget(checkpoint.run)
-        log.error("%s: %s", checkpoint.run, error)
+        if self._refused.get(checkpoint.run) != str(error):
+            log.error("%s: %s", checkpoint.run, error)
+        self._refused[checkpoint.run] = str(error)
         return (NoWaveforms.of(checkpoint.run, self._name, error, ends=checkpoint.k == 0),)
 
 
