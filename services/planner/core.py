@@ -11,6 +11,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.pending import Pending
@@ -26,9 +27,18 @@ from cogradar.shared.wire.meter import Measures
 from cogradar.shared.wire.runner import Flush
 
 SUSPENDED_S = 60.0
+DEEPER = 8  # times as many owners are suspended whenever a track is overdue again within this time
+NAMED = 5  # of those, in the log
 TELL_S = 30.0  # from one line of the log on a run without tracks to the next
 GRACE_S = 2.0  # after owners have changed: what is overdue then is the last owner's
 log = logging.getLogger(__name__)
+
+
+class _Overdue(NamedTuple):
+    """A track whose owners brought no plans."""
+
+    n: int  # times, in a row
+    until_s: float  # after which it is forgotten
 
 
 class PlannerCore:
@@ -42,6 +52,7 @@ class PlannerCore:
         self._is_one_gone = False  # of those that were there since this one is: nobody offers its tracks
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
+        self._overdue: dict[str, dict[int, _Overdue]] = {}  # of a run, by track
         self._changed_s: dict[str, float] = {}  # of a run: when its tracks changed owners, as one had gone or was late
         self._tell_s: dict[str, float] = {}  # of a run: when its progress is told next
         self._failed: dict[str, NoPlans] = {}  # runs whose rule failed
@@ -79,7 +90,7 @@ class PlannerCore:
         return (self._failed[error.run],)
 
     def _forget(self, run: str) -> None:
-        for known in (self._runs, self._suspended, self._changed_s, self._failed, self._refused):
+        for known in (self._runs, self._suspended, self._overdue, self._changed_s, self._failed, self._refused):
             known.pop(run, None)
 
     def _handle(self, event: Event) -> Iterable[Message | Flush]:
@@ -204,16 +215,33 @@ class PlannerCore:
         return self._runs[name].source.owner([worker for worker in self._workers if worker not in suspended])
 
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
-        """Take the tracks of a run from the workers that bring no plans, if there are others."""
+        """Take the tracks of a run from the workers that bring no plans, if there are others.
+
+        A track that is overdue again is taken from more and more of them at once: names without a process, however
+        many, cannot keep a run waiting, for in the end every worker plans for the track itself.
+        """
         if not overdue or self._now_s < self._changed_s.get(name, -math.inf) + GRACE_S:
             return ()
-        late = set(map(self._owner(name), overdue)) - {""}
-        suspended = self._suspended.setdefault(name, {})
-        suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
+        suspended, until_s = self._suspended.setdefault(name, {}), self._now_s + SUSPENDED_S
+        before = self._overdue.setdefault(name, {})
+        n = max(before[m].n if m in before and self._now_s < before[m].until_s else 0 for m in overdue)
+        before |= dict.fromkeys(overdue, _Overdue(n + 1, until_s))
+        late = set[str]()
+        if n > 1:
+            suspended.pop(self._name, None)
+        for i in range(DEEPER**n):
+            found = set(map(self._owner(name), overdue)) - {""}
+            if i > 0 or n > 1:  # whoever works this out is no mere name: it takes the track
+                found.discard(self._name)
+            if not found:
+                break
+            late |= found
+            suspended |= dict.fromkeys(found, until_s)
         self._forgive(name)
-        if lost := late & suspended.keys():
+        if lost := sorted(late & suspended.keys()):
             self._changed_s[name] = self._now_s
-            log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(lost)))
+            more = f" and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
+            log.warning("%s: no plans from %s%s: others take its tracks", name, ", ".join(lost[:NAMED]), more)
         return self._own(name)
 
     def _forgive(self, name: str) -> None:

@@ -32,6 +32,11 @@ ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to wat
 LONGEST_WAIT_S = 3.0  # the first answer is slow, while kernels are loaded
 STALL_S = 60.0  # without a new dwell: the loop hangs
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
+NAMED = 5  # planners, in the message of a run that stands still
+
+
+class Stalled(RunFailed):
+    """A run that nothing brings on."""
 
 
 def play(
@@ -153,7 +158,12 @@ def _play(
     notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
-    return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start), notify)
+    try:
+        return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start), notify)
+    except Stalled as error:
+        names = bus.alive().names.get(Role.PLANNER, [])
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        raise RunFailed(f"{error}; planners that are there: {', '.join(names[:NAMED]) or 'none'}{more}") from None
 
 
 def wait_until_alive(
@@ -224,7 +234,7 @@ def _watch(
             latest, changed = now, time.monotonic()
         if time.monotonic() - changed > STALL_S:
             waiting = latest.waiting_for if latest is not None else "metrics to know the run"
-            raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
+            raise Stalled(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
         until = time.monotonic() + max(POLL_S, min(ASKING_SHARE * took, LONGEST_WAIT_S))
         while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once
             check()

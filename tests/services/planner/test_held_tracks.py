@@ -186,3 +186,17 @@ def test_if_nobody_brings_plans_the_tracks_stay_where_they_are(heard: list[Scan]
     _after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]])
     _after(core, [_overdue([0, 1])])
     assert core.measures() == {"tracks_owned": 1}
+
+
+@pytest.mark.parametrize("n_name", [1, 20, 200])
+def test_names_without_a_process_keep_a_run_waiting_for_four_requests_at_most(
+    n_name: int, heard: list[Scan], caplog: pytest.LogCaptureFixture
+) -> None:
+    core = PlannerCore("a")
+    nobody = [f"n{i}" for i in range(n_name)]
+    _after(core, [Membership("planner", ("a", *nobody)), smoke_begin(dwells=8), *heard[:-1]])
+    for i in range(4):
+        planned = _planned(_after(core, [Tick(10.0 + (GRACE_S + 1.0) * i), _overdue([0, 1])]))
+    assert _planned(_after(core, heard[-1:])) | planned == {0, 1}
+    if n_name == 200:
+        assert " and " in caplog.text
