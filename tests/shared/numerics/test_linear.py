@@ -1,0 +1,70 @@
+"""Portable linear algebra and Fourier transforms against NumPy's."""
+
+import numpy as np
+import pytest
+
+from cogradar.shared.numerics import linear
+from cogradar.shared.numerics.fourier import fourier
+
+SIZES = [1, 2, 3, 4, 5, 8, 13]  # below, at and above the four rows that are unrolled
+
+
+def drawn(rng: np.random.Generator, *shape: int, is_complex: bool = True) -> np.ndarray:
+    return rng.normal(size=shape) + (1j * rng.normal(size=shape) if is_complex else 0.0)
+
+
+@pytest.mark.parametrize("is_complex", [False, True])
+@pytest.mark.parametrize("n", SIZES)
+def test_products_and_solutions_equal_numpy(n: int, is_complex: bool) -> None:
+    rng = np.random.default_rng(n)
+    a, b = drawn(rng, 3, n, is_complex=is_complex), drawn(rng, n, 7)
+    for left, right in ((a, b), (a[0], b), (a, b[:, 0]), (a[0], b[:, 0]), (b.T, a.T), (a[:0], b)):
+        np.testing.assert_allclose(linear.product(left, right), left @ right, rtol=0, atol=1e-13)
+    square = drawn(rng, n, n, is_complex=is_complex)
+    np.testing.assert_allclose(linear.solve(square, b), np.linalg.solve(square, b), rtol=1e-9)
+    np.testing.assert_allclose(linear.solve(square, b[:, 0]), np.linalg.solve(square, b[:, 0]), rtol=1e-9)
+    assert linear.inner(a.real, a.real[::-1]) == pytest.approx(float(np.sum(a.real * a.real[::-1])))
+    assert linear.energy(b) == pytest.approx(float(np.linalg.norm(b)) ** 2)
+    symmetric = square.real + square.real.T
+    values, vectors = linear.eigh(symmetric)
+    np.testing.assert_allclose(np.sort(values), np.linalg.eigvalsh(symmetric), rtol=0, atol=1e-12)
+    np.testing.assert_allclose((vectors * values) @ vectors.T, symmetric, rtol=0, atol=1e-12)
+    positive = square.real @ square.real.T + np.eye(n)
+    np.testing.assert_allclose(linear.cholesky(positive), np.linalg.cholesky(positive), rtol=1e-12, atol=1e-12)
+
+
+def test_products_of_other_shapes_and_singular_matrices_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"product of \(3, 2\) and \(3,\)"):
+        linear.product(np.ones((3, 2)), np.ones(3))
+    with pytest.raises(ValueError, match="singular"):
+        linear.solve(np.ones((2, 2)), np.ones(2))
+
+
+@pytest.mark.parametrize("shape", [(30, 3), (20, 20), (5, 9), (4, 0)])
+def test_singular_values_and_vectors_equal_numpy(shape: tuple[int, int]) -> None:
+    a = drawn(np.random.default_rng(3), *shape)
+    u, s = linear.singular(a)
+    np.testing.assert_allclose(s, np.linalg.svd(a, compute_uv=False), rtol=1e-12)
+    np.testing.assert_allclose((u * s**2) @ u.conj().T, a @ a.conj().T, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(u.conj().T @ u, np.eye(s.size), rtol=0, atol=1e-13)
+
+
+def test_repeated_columns_have_a_singular_value_of_zero() -> None:
+    a = np.outer(drawn(np.random.default_rng(4), 6), [1.0, 1j, 0.0])
+    u, s = linear.singular(a)
+    assert s[0] == pytest.approx(np.linalg.norm(a))
+    assert s[1] <= 1e-15 * s[0]
+    np.testing.assert_allclose((u * s**2) @ u.conj().T, a @ a.conj().T, rtol=0, atol=1e-13)
+    assert linear.spectral_norm(a.T) == pytest.approx(s[0])
+
+
+def test_polynomial_has_these_roots() -> None:
+    roots = [0.5j, 0.2 + 0.1j, -0.3]
+    np.testing.assert_allclose(linear.polynomial(roots), np.poly(roots), rtol=0, atol=1e-16)
+    np.testing.assert_array_equal(linear.polynomial([]), [1.0])
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 12, 30, 49, 64, 101])
+def test_transform_equals_numpy(n: int) -> None:
+    x = drawn(np.random.default_rng(n), 5, max(n // 2, 1))
+    np.testing.assert_allclose(fourier(x, n), np.fft.fft(x, n, axis=1), rtol=0, atol=1e-12)
