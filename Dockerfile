@@ -1,12 +1,14 @@
 # One image for every role. docs/howto/deploy.md says what is in it, how large that is and why.
 ARG PYTHON=3.12
-FROM python:${PYTHON}-slim-bookworm AS base
-# One arithmetic on every machine (x86-64-v3: AVX2 and FMA, in processors since 2013): planners on different machines
-# must give the same bytes. Left alone, Numba, OpenBLAS and NumPy each pick code for the processor they find.
-ENV NUMBA_CPU_NAME=x86-64-v3 \
-    NUMBA_CPU_FEATURES="" \
-    OPENBLAS_CORETYPE=Haswell \
-    NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
+ARG TARGETARCH
+# Kernels are compiled in the build for a processor that any machine of the architecture is. They compute the same on all.
+FROM python:${PYTHON}-slim-bookworm AS base-amd64
+ENV NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES=""
+
+FROM python:${PYTHON}-slim-bookworm AS base-arm64
+ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=""
+
+FROM base-${TARGETARCH} AS base
 # The standard library comes without bytecode, and a read-only container could never keep any.
 RUN python -m compileall -q -x '/(test|idlelib|lib2to3|ensurepip)/' "$(python -c 'import os; print(os.path.dirname(os.__file__))')"
 

@@ -44,7 +44,7 @@ test: setup ## run every test, those by the clock with nothing beside them
 	@$(if $(ARGS),,$(WITHIN_BUDGET) $(BIN)/python -m pytest $(BY_THE_CLOCK))
 
 # After a change that is meant to change a digest: ARGS=--write, and the commit says why.
-golden: setup ## compare the digests of all shipped scenarios with tests/golden_digests.json
+golden: setup ## compare the digests of all shipped scenarios with services/bench/golden_digests.json
 	$(BIN)/python -m tests.golden $(ARGS)
 
 # Building the image may be silent for minutes, hence the longer fault time. The three hosts are tried beside the

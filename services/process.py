@@ -18,7 +18,7 @@ from cogradar.services.certs.validity import Validity
 from cogradar.services.errors import BadInput, Deposed, Interrupted, StoreFailed, check_stop
 from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
-from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
@@ -152,7 +152,7 @@ def _check_others(service: Service, start: Start, session: Session, check: Calla
     for stranger in there.strangers:
         log.warning("%s: they do not hear each other", stranger)
     if there.build != build():
-        log.warning("%s runs build %s, this system %s: it takes part in nothing", start.name, build(), there.build)
+        log.warning("%s %s: it takes part in nothing", start.name, difference(build(), there.build))
     return claim
 
 

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot, modulus
+from cogradar.shared.numerics.linear import eigh, product
 from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, no_tracks
@@ -28,6 +30,7 @@ Ints = NDArray[np.int64]
 
 SIGMAS = 3.0  # standard deviations between what may be of one target
 ONE_TARGET = {True: 3.0, False: 9.5}  # squared distance of two tracks of one target, both confirmed or not
+_ROUNDING = 1e-15  # of an eigenvalue, relative to the largest one
 NEAR_KM = 1e-3  # a target is not nearer than this
 
 
@@ -116,11 +119,12 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
 def _places(states: Floats, covariances: Floats) -> Floats:
     """nu, its standard deviation, range in km and its standard deviation, to first order; (M, 4)."""
     x, y, places = states[:, 0], states[:, 2], covariances[:, ::2, ::2]
-    range_km = np.maximum(np.hypot(x, y), NEAR_KM)
-    by_nu = np.stack((-x * y, x * x), axis=1) / (2.0 * range_km[:, np.newaxis] ** 3)
+    range_km = np.maximum(hypot(x, y), NEAR_KM)
+    by_nu = np.stack((-x * y, x * x), axis=1) / (2.0 * (range_km * range_km * range_km)[:, np.newaxis])
     by_range = np.stack((x, y), axis=1) / range_km[:, np.newaxis]
     nu_sigma, range_sigma = (
-        np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", by, places, by), 0.0)) for by in (by_nu, by_range)
+        np.sqrt(np.maximum(np.sum(by[:, :, np.newaxis] * places * by[:, np.newaxis], axis=(1, 2)), 0.0))
+        for by in (by_nu, by_range)
     )
     return np.column_stack((spatial_frequency(states), nu_sigma, np.minimum(range_km, FAR), range_sigma))
 
@@ -153,7 +157,7 @@ def _one_each(
     moved = _moved(radar, plans, k)
     places = _places(*moved)
     near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
-    spread_km = SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
+    spread_km = SIGMAS * hypot(places[:, 3], places[:, 3, np.newaxis])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
     near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
     near &= np.logical_or.outer(is_told, is_told)
@@ -169,7 +173,9 @@ def _one_each(
 def _distance(states: Floats, covariances: Floats) -> float:
     """Squared distance of two estimates, (2, 4), with their covariances, (2, 4, 4)."""
     error, spread = states[0] - states[1], covariances[0] + covariances[1]
-    return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
+    values, vectors = eigh(0.5 * (spread + spread.T))
+    counts = values > _ROUNDING * values.max()
+    return float(np.sum(product(error, vectors)[counts] ** 2 / values[counts]))
 
 
 def _is_of_one(response: Response, scan: Scan, row: int, tracks: Sequence[Sequence[float]]) -> bool:
@@ -186,7 +192,7 @@ def _birth(scan: Scan, row: int) -> list[float]:
     """The detection of a row, as a roster has it."""
     columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
     places = [float(np.asarray(column)[row]) for column in columns]
-    return [*places, float(abs(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
+    return [*places, float(modulus(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
 
 
 def _chance(radar: RadarConfig, birth: Floats) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unchanged
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.power.rules import Emission, Requests, power_rule
 from cogradar.shared.power.search import search_directions, search_power
 from cogradar.shared.protocol.messages import Plan, Waveform
@@ -48,7 +49,7 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     meant, arrived = angle_bin(spatial_frequency(states), n_bin).astype(np.int32)
     moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
     kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
-    range_km = float(np.hypot(states[1, 0], states[1, 2]))
+    range_km = float(hypot(states[1, 0], states[1, 2]))
     if plan.nus is not None and plan.gate is not None:
         from_nu, to_nu = spatial_frequency(states)
         nus = np.clip(plan.nus + (to_nu - from_nu), -0.5, 0.5)

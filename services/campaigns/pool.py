@@ -17,7 +17,7 @@ from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.runs import in_process
-from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.plugins.sources import allow, allowance
 
@@ -90,7 +90,7 @@ def play_one(start: RunStart, asked: str) -> tuple[Recording, float]:
     A run that fails is a result as well: it would fail again.
     """
     if build() != asked:
-        raise RunFailed(f"{platform.node()} has another version of the program, so it was not let play")
+        raise RunFailed(f"{platform.node()} {difference(build(), asked)}, so it was not let play")
     began = time.process_time()
     store = in_memory()
     try:

@@ -104,8 +104,12 @@ def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
 
 
 def verify(as_json: JsonOption = False) -> None:
-    """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
+    """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute.
+
+    A short run must also come to the digest that it has on every machine.
+    """
     from cogradar.services import kernels
+    from cogradar.services.bench import golden
     from cogradar.services.bench import verify as verification
 
     console = err if as_json else out
@@ -114,11 +118,13 @@ def verify(as_json: JsonOption = False) -> None:
         with progress(console) as tell:
             stop.at_once = True
             checks = verification.verify(tell)
+            digest = golden.digest()
     if as_json:
-        print_json([check.as_json() for check in checks])
+        print_json([*(check.as_json() for check in checks), digest.as_json()])
     else:
         print_tables(out, [verification.table(checks)])
-    if not all(check.passed for check in checks):
+        out.print(str(digest), soft_wrap=True)
+    if not (all(check.passed for check in checks) and digest.passed):
         raise typer.Exit(RunFailed.exit_code)
 
 

@@ -16,6 +16,7 @@ from cogradar.services.emulator.front_end import (
     Transmission,
     fault_line,
 )
+from cogradar.shared.numerics.linear import energy
 from cogradar.shared.protocol.admission import (
     IS_NEEDED,
     check_directions,
@@ -127,7 +128,7 @@ def _tested(radar: RadarConfig, place: _Place) -> tuple[range, float]:
 def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     """Refuse what the transmitter cannot send, and a dwell that the run cannot have."""
     array = radar.array
-    power = waveform.isotropic + float(np.sum(np.abs(waveform.factor.astype(np.complex128)) ** 2))
+    power = waveform.isotropic + energy(waveform.factor.astype(np.complex128))
     check_dwell(waveform.k, radar, dwells)
     if waveform.factor.shape[0] != array.n_tx:
         raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.linear import energy
 from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint, Refused
 from cogradar.shared.protocol.orders import Setting
 from cogradar.shared.protocol.roster import Roster
@@ -81,7 +82,7 @@ class Transmission:
     @property
     def power(self) -> float:
         """All of it; 0: nothing is radiated."""
-        return self.isotropic + float(np.sum(np.abs(self.factor) ** 2))
+        return self.isotropic + energy(self.factor)
 
     @property
     def range_cells(self) -> list[int]:

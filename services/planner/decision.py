@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.planning.cells import (
     apart_km,
@@ -65,7 +66,7 @@ def decide(
     estimate = _within(mean, FAR)  # a belief that has flown away must not end its planner
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
-    best_bin, range_km = int(np.argmax(chances)), min(float(np.hypot(predicted[0], predicted[2])), FAR)
+    best_bin, range_km = int(np.argmax(chances)), min(float(hypot(predicted[0], predicted[2])), FAR)
     most = 1 if model.tests_every_cell or not state.confirmed else MAX_CELLS
     if most == 1 or radar.planner.looks == "joint":
         cells, n_sim = most_probable_cells(chances, most), 0

@@ -7,8 +7,8 @@ from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
+from cogradar.shared.numerics.elementwise import ndtri
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState

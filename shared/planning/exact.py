@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import exp
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.planning.radar_pomdp import RadarPomdp
 from cogradar.shared.signal.angle import bin_of
@@ -72,14 +73,14 @@ def level_table(threshold: float, rcs: str = "known") -> LevelTable:
     Levels of a fluctuating echo spread over all that there are. If the RCS is not known, there is but one.
     """
     u = np.arange(int(MOST_U * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    miss = np.exp(log_miss_probability(threshold, u, rcs))
+    miss = exp(log_miss_probability(threshold, u, rcs))
     if not LAWS[rcs].tells_range:
         return LevelTable(miss, np.zeros(u.size, np.int64), 1.0 - miss[:, np.newaxis], 1)
     lowest, most = level_of(sqrt(0.5 * threshold)), _FLUCTUATION * MOST_U if LAWS[rcs].fluctuates else MOST_U + _MARGIN
     n_level = ceil(most / STEP)
     chance = np.zeros((n_level, u.size))
     for level in range(lowest, n_level):
-        chance[level] = np.exp(log_level_probability(level, threshold, u, rcs))
+        chance[level] = exp(log_level_probability(level, threshold, u, rcs))
     counts = chance > _NEGLIGIBLE
     first = np.argmax(counts, axis=0)
     band = np.minimum(first[:, np.newaxis] + np.arange(int(counts.sum(axis=0).max())), n_level - 1)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import angle_bin, bin_centres
 from cogradar.shared.signal.response import Response
@@ -89,7 +90,7 @@ def _directions_and_ranges(states: Floats) -> tuple[Floats, Floats]:
     """Direction and range in km of states, (n, 4) -> (n,) each."""
     nus, ranges_km = np.zeros(states.shape[0]), np.empty(states.shape[0])
     for i in range(states.shape[0]):
-        ranges_km[i] = np.hypot(states[i, 0], states[i, 2])
+        ranges_km[i] = hypot(states[i, 0], states[i, 2])
         if ranges_km[i] != 0.0:
             nus[i] = 0.5 * states[i, 2] / ranges_km[i]
     return nus, ranges_km

@@ -1,14 +1,15 @@
 """Probability of detection over zeta, the gain of a look times its power, and the inverse of its slope."""
 
 from functools import lru_cache, partial
-from math import log, sqrt
+from math import exp, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import i1e
 
+from cogradar.shared.numerics.elementwise import i1e, interpolated
 from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.numerics.roots import root
 from cogradar.shared.signal.receiver import detection_probability
 
 Floats = NDArray[np.float64]
@@ -37,7 +38,7 @@ def curve_of(limit: float, rcs: str = "constant") -> Curve:
 
     rcs : what the targets do, "constant" or "swerling1", of which P_D is still rising where the other's is 1
     """
-    from scipy.optimize import brentq, minimize_scalar  # 0.4 s of import, which other objectives need not spend
+    from scipy.optimize import minimize_scalar  # 0.4 s of import, which other objectives need not spend
 
     is_constant = rcs == "constant"
     log_slope = partial(_log_slope if is_constant else _log_slope_swerling1, limit)
@@ -46,9 +47,7 @@ def curve_of(limit: float, rcs: str = "constant") -> Curve:
         return float(detection_probability(zeta, limit, rcs))
 
     bend = float(minimize_scalar(lambda zeta: -log_slope(zeta), bounds=(1e-9, 2.0 * limit), method="bounded").x)
-    chord = float(
-        brentq(lambda zeta: f(zeta) - f(0.0) - zeta * np.exp(log_slope(zeta)), bend * (1.0 + 1e-6), 4.0 * limit + 40.0)
-    )
+    chord = root(lambda zeta: f(zeta) - f(0.0) - zeta * exp(log_slope(zeta)), bend * (1.0 + 1e-6), 4.0 * limit + 40.0)
     s = np.arange(0.0, sqrt(limit) + _BEYOND if is_constant else _MOST, 1.0 / _STEPS)
     upper = np.concatenate(([sqrt(bend)], s[s > sqrt(bend)]))
     t = np.sqrt(np.maximum(log_slope(bend) - np.array([log_slope(one * one) for one in upper]), 0.0))
@@ -56,7 +55,7 @@ def curve_of(limit: float, rcs: str = "constant") -> Curve:
     t_chord = sqrt(log_slope(bend) - log_slope(chord))
     return Curve(
         np.asarray(detection_probability(s * s, limit, rcs)),
-        np.interp(steps, t, upper),
+        interpolated(steps, t, upper),
         log_slope(bend),
         t_chord,
         sqrt(chord),
@@ -65,7 +64,7 @@ def curve_of(limit: float, rcs: str = "constant") -> Curve:
 
 def _log_slope(limit: float, zeta: float) -> float:
     """Of f'(zeta) = 1/2 sqrt(lambda / zeta) exp(-(lambda + zeta) / 2) I_1(sqrt(lambda zeta))."""
-    return log(0.5 * sqrt(limit / zeta) * i1e(sqrt(limit * zeta))) - 0.5 * (sqrt(limit) - sqrt(zeta)) ** 2
+    return log(0.5 * sqrt(limit / zeta) * float(i1e(sqrt(limit * zeta)))) - 0.5 * (sqrt(limit) - sqrt(zeta)) ** 2
 
 
 def _log_slope_swerling1(limit: float, zeta: float) -> float:

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.power.interior_point import dot, product
-from cogradar.shared.power.max_min import Allocation, allocate, antennas, clipped, dual_bound, real_steering_vectors
-from cogradar.shared.signal.waveform import beam_factor
+from cogradar.shared.numerics.linear import dot, multiply, product, spectral_norm
+from cogradar.shared.power.max_min import Allocation, allocate, clipped, dual_bound, real_steering_vectors
+from cogradar.shared.signal.waveform import antennas, beam_factor
 
 Floats = NDArray[np.float64]
 
@@ -53,9 +53,9 @@ def allocate_equal(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) ->
     rows = real_steering_vectors(np.asarray(nus, dtype=np.float64), n_tx)
     factor, mu, d = _ascend(rows, weights)
     scale = power * n_tx * float(delta.min())
-    value = scale * float(np.min(weights * np.sum(product(rows, factor) ** 2, axis=1)))
+    value = scale * float(np.min(weights * np.sum(multiply(rows, factor) ** 2, axis=1)))
     scaled = rows * np.sqrt(mu * weights)[:, np.newaxis] / np.sqrt(d)
-    proven = scale * float(np.linalg.norm(scaled, 2)) ** 2 * float(d.mean())
+    proven = scale * spectral_norm(scaled) ** 2 * float(d.mean())
     # Without the limits of antennas the optimum is no lower, so that its bound is one, too.
     bound = max(min(proven, allocate(nus, delta, power, n_tx).bound), value)
     return Allocation(antennas(factor * np.sqrt(power)), power * mu, value, bound, _status(value, bound))
@@ -70,12 +70,12 @@ def allocate_conventional(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: 
     nus, delta = np.asarray(nus, dtype=np.float64), clipped(delta)
     weights = delta / delta.min()
     rows = real_steering_vectors(nus, n_tx)
-    gains = product(rows, np.ascontiguousarray(rows.T)) ** 2
+    gains = multiply(rows, np.ascontiguousarray(rows.T)) ** 2
     shares = 1.0 / weights
     best, best_shares = -1.0, shares
     for _ in range(_BALANCED):
         shares = shares / shares.sum()
-        echo = weights * (gains @ shares)
+        echo = weights * product(gains, shares)
         if echo.min() > best:
             best, best_shares = float(echo.min()), shares
         shares = shares * np.sqrt(np.maximum(echo.min() / echo, _LEAST_RATIO))
@@ -104,7 +104,7 @@ def _ascend(rows: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     _scaled(factor)
     mean_mu, best, best_factor = np.zeros(n_track), -1.0, factor.copy()
     for iteration in range(_ITERATIONS):
-        fields = product(rows, factor)
+        fields = multiply(rows, factor)
         echo = np.empty(n_track)
         for m in range(n_track):
             echo[m] = weights[m] * dot(fields[m], fields[m])
@@ -120,13 +120,13 @@ def _ascend(rows: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
             fields[m] *= mu[m] * weights[m]
         if 2 * iteration >= _ITERATIONS:
             mean_mu += mu
-        factor = product(columns, fields)
+        factor = multiply(columns, fields)
         _scaled(factor)
     mean_mu /= mean_mu.sum()
-    fields = product(rows, best_factor)
+    fields = multiply(rows, best_factor)
     for m in range(n_track):
         fields[m] *= mean_mu[m] * weights[m]
-    return best_factor, mean_mu, _scaled(product(columns, fields))
+    return best_factor, mean_mu, _scaled(multiply(columns, fields))
 
 
 @kernel

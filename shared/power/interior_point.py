@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import dot, multiply
 
 Floats = NDArray[np.float64]
 
@@ -43,22 +44,22 @@ def interior_point(B: Floats, w: Floats, gap_target: float) -> tuple[Floats, Flo
     for _ in range(MAX_ITERATIONS):
         objective = dot(w, x)
         gap = _trace(X) - objective
-        Y = product(X, B)
-        T = product(Bt, Y)
+        Y = multiply(X, B)
+        T = multiply(Bt, Y)
         s = _diagonal(T) - w
         if gap <= gap_target * objective or _smallest(s) <= 0.0:
             break
         # Newton system: H = (B^T X B) o (B^T Z^-1 B) + diag(s / x)
         Zi = _inverse(L)
-        Wt = product(Bt, Zi)
-        S = product(Wt, B)
+        Wt = multiply(Bt, Zi)
+        S = multiply(Wt, B)
         H = _schur_complement(T, S, s / x)
         _cholesky(H, C, PIVOT_FLOOR)
         # Predictor: straight for the optimum; the share of the gap it leaves sets the corrector's aim
         dx = _solve(H, C, w)
         dX = _blend(_symmetric_part(_weighted_product(Y, dx, Wt)), -1.0, X)
-        Ya = product(dX, B)
-        Ta = product(Bt, Ya)
+        Ya = multiply(dX, B)
+        Ta = multiply(Bt, Ya)
         ds = _diagonal(Ta)
         primal, dual = _step(X, dX, s, ds), _step(Z, _weighted_product(B, -dx, Bt), x, dx)
         left = max(0.0, gap + primal * _trace(dX) - dual * dot(w, dx)) / gap
@@ -86,7 +87,7 @@ def interior_point(B: Floats, w: Floats, gap_target: float) -> tuple[Floats, Flo
 def _start(B: Floats, Bt: Floats, w: Floats) -> tuple[Floats, Floats]:
     """Strictly feasible pair: conventional beams and some of everything; x by lambda_max <= row sums of |B^T B|."""
     X = _weighted_product(B, w, Bt)
-    G = product(Bt, B)
+    G = multiply(Bt, B)
     little = 0.2 * w.sum() / w.size
     for i in range(X.shape[0]):
         X[i, i] += little
@@ -216,12 +217,6 @@ def _hadamard_times(A: Floats, B: Floats, v: Floats) -> Floats:
 
 
 @kernel
-def product(A: Floats, B: Floats) -> Floats:
-    """A B."""
-    return _weighted_product(A, np.ones(A.shape[1]), B)
-
-
-@kernel
 def _weighted_product(A: Floats, v: Floats, B: Floats) -> Floats:
     """A diag(v) B, four rows of B at a time so that the inner loop runs in vector registers."""
     n, depth = A.shape
@@ -239,21 +234,6 @@ def _weighted_product(A: Floats, v: Floats, B: Floats) -> Floats:
                 C[i, j] += a0 * B[k, j]
             k += 1
     return C
-
-
-@kernel
-def dot(a: Floats, b: Floats) -> float:
-    """a^T b in four interleaved sums: fast, and in the same order everywhere."""
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    n = a.size - a.size % 4
-    for i in range(0, n, 4):
-        s0 += a[i] * b[i]
-        s1 += a[i + 1] * b[i + 1]
-        s2 += a[i + 2] * b[i + 2]
-        s3 += a[i + 3] * b[i + 3]
-    for i in range(n, a.size):
-        s0 += a[i] * b[i]
-    return (s0 + s1) + (s2 + s3)
 
 
 @kernel

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import log
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.power.curve import Curve, detected, wanted
 
@@ -46,7 +47,7 @@ class Bought(NamedTuple):
 def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) -> Bought:
     """Powers of candidate cells, (n,) chances and (n,) gains, for the most expected detections."""
     safe = np.maximum(gains, LEAST_GAIN)
-    log_worth = np.log(np.maximum(chances, 1e-12) * safe) + curve.steepest
+    log_worth = log(np.maximum(chances, 1e-12) * safe) + curve.steepest
     return Bought(*_solve(curve, _Cells(chances, safe, log_worth), power))
 
 

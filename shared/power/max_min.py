@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.power.interior_point import dot, interior_point, product
-from cogradar.shared.signal.waveform import beam_factor, beampattern
+from cogradar.shared.numerics.linear import dot, multiply, spectral_norm
+from cogradar.shared.power.interior_point import interior_point
+from cogradar.shared.signal.waveform import antennas, beam_factor, beampattern
 
 FLOOR = 1e-7  # a steering vector this close (relative) to the span of the others adds no dimension
 WEIGHT_RANGE = (1e-100, 1e100)  # so that a range of 0, or one without end, still leaves a waveform for the others
@@ -78,7 +79,7 @@ def reduce(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> Reducti
     delta = clipped(delta)
     rows = real_steering_vectors(np.asarray(nus, dtype=np.float64), n_tx)
     basis = orthonormal_basis(rows)
-    beams = product(basis, np.ascontiguousarray(rows.T))
+    beams = multiply(basis, np.ascontiguousarray(rows.T))
     residual = np.maximum(1.0 - np.sum(beams**2, axis=0), 0.0)
     weakest = float(delta.min())
     return Reduction(basis, beams, residual, weakest / delta, power * n_tx * weakest)
@@ -92,13 +93,13 @@ def expand(reduction: Reduction, root: NDArray[np.float64], x: NDArray[np.float6
     """
     w = reduction.weights
     trace = float(np.sum(root**2))
-    projected = product(np.ascontiguousarray(root.T), reduction.beams)
+    projected = multiply(np.ascontiguousarray(root.T), reduction.beams)
     served = np.sum(projected**2, axis=0)  # b_m^T X b_m as a sum of squares: accurate when tiny
     value = reduction.scale * float(np.min(served / w)) / trace
     # What the basis leaves out adds at most sum_m x_m residual_m to the largest eigenvalue of the dual matrix.
     objective = float(np.sum(w * x))
     bound = reduction.scale * (1.0 + float(np.sum(x * reduction.residual))) / objective
-    coordinates = product(np.ascontiguousarray(reduction.basis.T), root * np.sqrt(power / trace))
+    coordinates = multiply(np.ascontiguousarray(reduction.basis.T), root * np.sqrt(power / trace))
     return Allocation(antennas(coordinates), power * (w * x) / objective, value, bound, _status(value, bound))
 
 
@@ -124,7 +125,7 @@ def dual_bound(mu: ArrayLike, nus: ArrayLike, delta: ArrayLike, power: float, n_
     P lambda_max(sum_m mu_m delta_m a_m^* a_m^T)                   (weak duality; equality for the optimal mu)
     """
     root = beam_factor(nus, np.asarray(mu) * np.asarray(delta) * n_tx, n_tx)
-    return power * float(np.linalg.norm(root, 2)) ** 2
+    return power * spectral_norm(root) ** 2
 
 
 class KktResiduals(NamedTuple):
@@ -201,12 +202,3 @@ def orthonormal_basis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
                 basis[rank, j] = rest[j] / norm
             rank += 1
     return basis[:rank].copy()
-
-
-def antennas(coordinates: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Antenna excitations from the coordinates of `real_steering_vectors`; (n_tx, r) -> (n_tx, r)."""
-    n_tx = coordinates.shape[0]
-    half = n_tx // 2
-    upper = (coordinates[:half] - 1j * coordinates[half : 2 * half]) / np.sqrt(2)
-    middle = coordinates[2 * half :].astype(np.complex128)
-    return np.concatenate([upper[::-1].conj(), middle, upper])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import power
 from cogradar.shared.power.equal_antennas import allocate_conventional, allocate_equal
 from cogradar.shared.power.max_min import Allocation, allocate
 from cogradar.shared.scenario.plugins.kinds import OBJECTIVE, STRATEGY
@@ -52,7 +53,7 @@ class Requests(NamedTuple):
     @property
     def weights(self) -> Floats:
         """Expected echo power 1/R^4 of each track over what is wanted of it, (M,); only ratios matter."""
-        return np.asarray(self.ranges_km**-4.0 / self.priorities)
+        return np.asarray(power(self.ranges_km, -4.0) / self.priorities)
 
 
 class Emission(NamedTuple):

@@ -15,6 +15,7 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.linear import eigh, product, spectral_norm
 from cogradar.shared.power.max_min import Allocation, Reduction, allocate_orthogonal, expand, reduce
 
 TOLERANCES = {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}  # of Clarabel; status is our own
@@ -52,7 +53,7 @@ class ReducedProgram:
         rank, n_beam = reduction.beams.shape
         beams = np.zeros((n_beam, n_beam))  # coincident tracks leave dimensions unused
         beams[:rank] = reduction.beams
-        self._outer.value = np.einsum("im,jm->mij", beams, beams).reshape(n_beam, -1)
+        self._outer.value = (beams.T[:, :, np.newaxis] * beams.T[:, np.newaxis]).reshape(n_beam, -1)
         self._weights.value = reduction.weights
         try:
             with warnings.catch_warnings():  # cvxpy warns of inaccurate solutions; the certificate tells
@@ -69,15 +70,15 @@ def _feasible_root(X: NDArray[np.float64], reduction: Reduction) -> NDArray[np.f
     The solver is accurate to about 1e-10 of the largest weight, which may be more than a near track's whole share.
     """
     B = reduction.beams
-    values, vectors = np.linalg.eigh(X)
-    X = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    lack = np.maximum(reduction.weights - np.einsum("im,ij,jm->m", B, X, B), 0.0)
-    values, vectors = np.linalg.eigh(X + (B * lack) @ B.T)
+    values, vectors = eigh(X)
+    X = product(vectors * np.maximum(values, 0.0), vectors.T)
+    lack = np.maximum(reduction.weights - np.sum(B * product(X, B), axis=0), 0.0)
+    values, vectors = eigh(X + product(B * lack, B.T))
     root: NDArray[np.float64] = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
 
 
 def _feasible_dual(x: NDArray[np.float64], reduction: Reduction) -> NDArray[np.float64]:
     x = np.maximum(x, 0.0)
-    largest = float(np.linalg.norm(reduction.beams * np.sqrt(x), 2)) ** 2
+    largest = spectral_norm(reduction.beams * np.sqrt(x)) ** 2
     return x / largest

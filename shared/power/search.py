@@ -7,6 +7,7 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.roots import root
 from cogradar.shared.power.rules import Requests
 from cogradar.shared.power.wide import KEPT, sure_powers, wanted
 from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
@@ -72,9 +73,7 @@ def edge_power(radar: RadarConfig) -> float:
 @lru_cache(maxsize=16)
 def _needed(limit: float) -> float:
     """zeta at which P_D is reached."""
-    from scipy.optimize import brentq  # 0.4 s of import, which runs without a search need not spend
-
-    return float(brentq(lambda zeta: float(detection_probability(zeta, limit)) - P_D, 0.0, _STRONGEST))
+    return root(lambda zeta: float(detection_probability(zeta, limit)) - P_D, 0.0, _STRONGEST)
 
 
 @cache

@@ -6,6 +6,8 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from cogradar.shared.numerics.fingerprint import arithmetic
+
 _ROOT = Path(__file__).resolve().parents[2]
 _SHOWS = {"analysis", "bench", "cli", "sweeps", "web"}  # rooms that only show what runs came to
 # What computes or encodes; the others of our dependencies show something, or carry bytes.
@@ -14,14 +16,25 @@ LIBRARIES = ("clarabel", "cvxpy", "llvmlite", "msgpack", "numba", "numpy", "pyda
 
 @cache
 def build() -> str:
-    """Digest of the sources, of the libraries that compute, and of the interpreter."""
-    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
+    """Digest of the sources, of the libraries that compute, and of the interpreter; and what this machine computes."""
+    digest = hashlib.sha256(platform.python_version().encode())
     for library in LIBRARIES:
         digest.update(f"{library} {version(library)}".encode())
     for source in sources():
         digest.update(str(source.relative_to(_ROOT)).encode())
         digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    return f"{digest.hexdigest()[:16]}-{arithmetic()}"
+
+
+def difference(build: str, system: str) -> str:
+    """How a process of one build differs from a system of another one."""
+    own, others = (one.partition("-") for one in (build, system))
+    if own[0] != others[0]:
+        return f"runs build {build}, this system {system}"
+    return (
+        f"computes otherwise (arithmetic {own[2]}, this system {others[2]}): another C library, or a processor without"
+        " fused multiply-add"
+    )
 
 
 def sources() -> list[Path]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from cogradar.shared.numerics.elementwise import hypot, log
 from cogradar.shared.signal.array import spatial_frequency
 
 NU_SIGMA = 0.003  # bearing error of a track at the start, in spatial frequency: uniform over a bin of width 1/99
@@ -44,4 +45,4 @@ def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np
 
 
 def _log_range(states: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.log(np.maximum(np.hypot(states[..., 0], states[..., 2]), 1e-6)))
+    return np.asarray(log(np.maximum(hypot(states[..., 0], states[..., 2]), 1e-6)))

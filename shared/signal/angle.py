@@ -6,6 +6,7 @@ needs the grid, but not the compiler, whose import takes a quarter of a second.
 
 import numpy as np
 
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import inlined, kernel
 
 
@@ -21,7 +22,7 @@ def bin_of(x: float, y: float, n_bin: int) -> int:
 @inlined
 def from_line(x: float, z: float) -> float:
     """Distance from the array's line of a position at height z: `array.in_plane` for one, inside a kernel."""
-    return float(np.hypot(x, z))
+    return float(hypot(x, z))
 
 
 @inlined

@@ -7,9 +7,13 @@ half-wavelength uniform linear array; x boresight, y along the array.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import arcsin, hypot
+from cogradar.shared.numerics.linear import product
+from cogradar.shared.numerics.quadrature import gauss_legendre
+
 # What a track remembers of a dwell with steered looks: these many of them, with what they have in common.
 KEPT_LOOKS = 16
-_ELEVATIONS, _SHARES = np.polynomial.legendre.leggauss(8)
+_ELEVATIONS, _SHARES = gauss_legendre(8)
 _LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is known of x
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
@@ -35,7 +39,7 @@ def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
     0 at the array itself, as atan2 has it; NaN of NaN.
     """
     s = np.asarray(states, dtype=np.float64)
-    r = np.hypot(s[..., 0], s[..., 2])
+    r = hypot(s[..., 0], s[..., 2])
     return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros_like(r), where=r != 0.0))
 
 
@@ -50,7 +54,7 @@ def in_plane(states: ArrayLike, heights_km: ArrayLike) -> NDArray[np.float64]:
     returns    : (..., 4), x replaced by hypot(x, z); velocities as they are
     """
     found = np.array(states, dtype=np.float64)
-    found[..., 0] = np.hypot(found[..., 0], heights_km)
+    found[..., 0] = hypot(found[..., 0], heights_km)
     return found
 
 
@@ -68,7 +72,7 @@ def on_ground(
     x' = height_max_km, where a target that is nearer than that may be anywhere on its circle.
     """
     x, vx = max(float(mean[0]), 0.0), float(mean[1])
-    highest = np.arcsin(min(height_max_km / x, 1.0)) if x > 0.0 else 0.5 * np.pi
+    highest = arcsin(min(height_max_km / x, 1.0)) if x > 0.0 else 0.5 * np.pi
     cos = np.maximum(np.cos(0.5 * highest * (1.0 + _ELEVATIONS)), _LEAST_COS)
     means = np.tile(mean, (cos.size, 1))
     means[:, 0], means[:, 1] = x * cos, vx / cos
@@ -76,10 +80,10 @@ def on_ground(
     by[:, 0, 0] = by[:, 1, 1] = 1.0 / cos
     by[:, 1, 0] = vx / max(x, height_max_km) / cos * (1.0 - 1.0 / cos**2)
     shares = 0.5 * _SHARES
-    ground = shares @ means
+    ground = product(shares, means)
     off = means - ground
-    spreads = by @ covariance @ by.transpose(0, 2, 1) + off[:, :, np.newaxis] * off[:, np.newaxis]
-    spread = np.einsum("i,ijk", shares, spreads)
+    spreads = [product(product(one, covariance), one.T) for one in by] + off[:, :, np.newaxis] * off[:, np.newaxis]
+    spread = np.sum(shares[:, np.newaxis, np.newaxis] * spreads, axis=0)
     return ground, 0.5 * (spread + spread.T)
 
 

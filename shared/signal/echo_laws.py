@@ -18,14 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import i0e
+
+from cogradar.shared.numerics.elementwise import exp, expm1, i0e, log, squared_modulus
+from cogradar.shared.numerics.quadrature import gauss_legendre
 
 Floats = NDArray[np.float64]
 
 MEMORY = 1.0 / 16.0  # weight of the newest look in E: an error of .8 dB; 13 dB in 300 dwells are followed within .7 dB
 MOST = 8.0  # r^2 of a detection, over its mean 1 + u^2, counts up to here: exp(-8), an echo that is another target's
 _STEPS, _TINY = 30, 1e-12
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+_GAUSS_NODES, _GAUSS_WEIGHTS = gauss_legendre(24)
 
 
 class EchoLaw(NamedTuple):
@@ -105,29 +107,29 @@ def log_rice_likelihood(r: Floats, u: Floats) -> Floats:
 
     f(r | u) = 2 r exp(-(r^2 + u^2)) I_0(2 r u) = 2 r exp(-(r - u)^2) i0e(2 r u): finite for any r, u >= 0
     """
-    return np.asarray(np.log(i0e(2.0 * r * u)) - (r - u) ** 2)
+    return np.asarray(log(i0e(2.0 * r * u)) - (r - u) ** 2)
 
 
 def log_rice_band(low: float, high: float, u: Floats) -> Floats:
     """Log of the Rice density's integral over [low, high), by Gauss's rule: narrow bands, or low = 0."""
     half = 0.5 * (high - low)
     r = low + half * (1.0 + _GAUSS_NODES)
-    log_f = np.log(2.0 * r) + log_rice_likelihood(r, u[..., None])
+    log_f = log(2.0 * r) + log_rice_likelihood(r, u[..., None])
     top = log_f.max(axis=-1)
-    integral = np.exp(log_f - top[..., None]) @ _GAUSS_WEIGHTS
-    return np.asarray(np.minimum(top + np.log(half * integral), 0.0))
+    integral = np.sum(exp(log_f - top[..., None]) * _GAUSS_WEIGHTS, axis=-1)
+    return np.asarray(np.minimum(top + log(half * integral), 0.0))
 
 
 def log_swerling_likelihood(r: Floats, u: Floats) -> Floats:
     """Log of the Swerling I density of r given u, without the factor 2 r; broadcasts."""
     mean = 1.0 + u * u
-    return np.asarray(-np.log(mean) - r * r / mean)
+    return np.asarray(-log(mean) - r * r / mean)
 
 
 def log_swerling_band(low: float, high: float, u: Floats) -> Floats:
     """Log of the Swerling I density's integral over [low, high)."""
     mean = 1.0 + u * u
-    return np.asarray(np.log(-np.expm1((low * low - high * high) / mean)) - low * low / mean)
+    return np.asarray(log(-expm1((low * low - high * high) / mean)) - low * low / mean)
 
 
 LAWS = {  # by `radar.assumes.rcs`
@@ -150,7 +152,7 @@ def first_echo(
     """
     used = sigma_hat > 0.0
     variance, own = sigma_hat[used] ** 2, own[used]
-    r_sq = np.abs(alpha_hat[used]) ** 2 / variance
+    r_sq = squared_modulus(alpha_hat[used]) / variance
     echo = max(float(np.mean(variance * (r_sq - 1.0))), least)
     for _ in range(_STEPS):
         expected = np.where(own, r_sq, _mean_below(r_sq, 1.0 + echo / variance))
@@ -172,7 +174,7 @@ def echo_after_miss(echo: float, threshold: float, sigma: Floats, share: Floats)
 
 def _mean_below(bound: Floats, mean: Floats) -> Floats:
     """Mean of an exponential r^2 with this mean that is below a bound; broadcasts."""
-    return np.asarray(mean - bound / np.expm1(np.clip(bound / mean, _TINY, 700.0)))
+    return np.asarray(mean - bound / expm1(np.clip(bound / mean, _TINY, 700.0)))
 
 
 def _expected_echo(echo: float, r_sq: Floats | float, variance: Floats | float) -> Floats:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import modulus
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.receiver import Cell
 
@@ -94,5 +95,5 @@ def _is_of_one_echo(stronger: Measured, weaker: Measured, straddled_km: float) -
     """Whether two cells of a look may have the echo of one target: neighbours in range, amplitudes in phase."""
     is_beside = 0.0 < abs(stronger.range_km - weaker.range_km) < NEIGHBOURS * straddled_km
     turned = weaker.cell.alpha_hat * stronger.cell.alpha_hat.conjugate()
-    quadrature = abs(turned.imag) / max(abs(stronger.cell.alpha_hat), _TINY)
+    quadrature = abs(turned.imag) / max(modulus(stronger.cell.alpha_hat), _TINY)
     return is_beside and turned.real > 0.0 and quadrature <= IN_PHASE * weaker.cell.sigma_hat

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import modulus, squared_modulus
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.receiver import accumulate, band_sums, beamformed, clustered, residual
 from cogradar.shared.signal.waveform import Root, Signature, signature
@@ -97,13 +98,13 @@ def _off_axis_echo(
     received = beamformed(y, u, n)
     rho = _ratio(received, a_rx)
     u_hat, a_hat = signature(root, min(max(nu + off_axis(rho, n), -0.5), 0.5), n)
-    power = float(np.sum(np.abs(u_hat) ** 2)) * n
+    power = float(np.sum(squared_modulus(u_hat))) * n
     noise = y.copy()
     if power > 0.0:
         alpha = np.sum(np.conj(a_hat) * beamformed(y, u_hat, n)) / power
         for i in range(u.size):
             accumulate(a_hat, -alpha * u_hat[i], noise[i * n : (i + 1) * n])
-    signal = abs(np.sum(np.conj(a_rx) * received))
+    signal = modulus(np.sum(np.conj(a_rx) * received))
     error = (_derivative(n) + rho) * a_rx
     if lags > 0:
         left = beamformed(noise, u, n)

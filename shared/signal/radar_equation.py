@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import log10
 from cogradar.shared.numerics.jit import inlined, kernel
 
 NEAREST_SQ_KM2 = 1e-12  # a target may fly over the array itself, where the equation has no finite value
@@ -42,4 +43,4 @@ def strength(gain: float, range_sq: float, by_range: bool) -> float:
 def snr_db(range_km: ArrayLike, amplitude_db: float) -> NDArray[np.float64]:
     """Signal-to-noise ratio 20 log10 |alpha| = amplitude_db - 40 log10 R, dB per virtual channel; (...) km -> (...)."""
     range_sq = np.asarray(range_km, dtype=np.float64) ** 2
-    return np.asarray(20.0 * np.log10(amplitude(amplitude_at_1_km(amplitude_db), range_sq)))
+    return np.asarray(20.0 * log10(amplitude(amplitude_at_1_km(amplitude_db), range_sq)))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chndtr
 
+from cogradar.shared.numerics.elementwise import exp, modulus, squared_modulus
 from cogradar.shared.numerics.jit import kernel
 
 LEAST_DOF = 1e-3  # of an estimate from one transmit channel
@@ -37,7 +38,7 @@ def threshold(p_fa: float, n: int = 1) -> float:
 
 def false_alarm_probability(threshold: ArrayLike) -> NDArray[np.float64]:
     """P_FA = exp(-lambda / 2) as the number of virtual channels grows; (...) -> (...)."""
-    return np.exp(-0.5 * np.asarray(threshold, dtype=np.float64))
+    return exp(-0.5 * np.asarray(threshold, dtype=np.float64))
 
 
 def noncentrality(snr: ArrayLike, signature_power: ArrayLike, spectrum: ArrayLike) -> NDArray[np.float64]:
@@ -66,12 +67,12 @@ def _detected_constant(zeta: NDArray[np.float64], threshold: NDArray[np.float64]
 
 
 def _detected_swerling1(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.exp(-0.5 * threshold / (1.0 + 0.5 * zeta)))
+    return np.asarray(exp(-0.5 * threshold / (1.0 + 0.5 * zeta)))
 
 
 def _detected_swerling3(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
     h, y = 0.25 * zeta, 0.5 * threshold
-    return np.asarray(np.exp(-y / (1.0 + h)) * (1.0 + y * (h / (1.0 + h)) / (1.0 + h)))
+    return np.asarray(exp(-y / (1.0 + h)) * (1.0 + y * (h / (1.0 + h)) / (1.0 + h)))
 
 
 _DETECTED: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]] = {
@@ -103,7 +104,7 @@ def wald_test(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArra
     if b <= 0.0:
         return Cell(0.0, alpha_hat, 0.0, signature_power)
     sigma_hat = math.sqrt(b) / signature_power
-    return Cell(2.0 * (abs(alpha_hat) / sigma_hat) ** 2, alpha_hat, sigma_hat, signature_power)
+    return Cell(2.0 * (modulus(alpha_hat) / sigma_hat) ** 2, alpha_hat, sigma_hat, signature_power)
 
 
 @kernel
@@ -139,7 +140,7 @@ def residual(
     n_rx = a_rx.size
     padded = np.empty(n_lag + y.size, dtype=np.complex128)
     padded[:n_lag] = 0.0
-    signature_power = float(np.sum(np.abs(u) ** 2) * np.sum(np.abs(a_rx) ** 2))
+    signature_power = float(np.sum(squared_modulus(u)) * np.sum(squared_modulus(a_rx)))
     if signature_power == 0.0:
         padded[n_lag:] = 0.0
         return 0.0, 0j, padded
@@ -159,8 +160,8 @@ def clustered(
 
     B = k / (k - 1) sum_i |u_i|^2 |a_R^H y_i - alpha ||a_R||^2 u_i|^2,   k = ||u||^4 / sum_i |u_i|^4
     """
-    n_rx, length = a_rx.size, float(np.sum(np.abs(a_rx) ** 2))
-    received, powers, total = np.empty(u.size, np.complex128), np.abs(u) ** 2, 0j
+    n_rx, length = a_rx.size, float(np.sum(squared_modulus(a_rx)))
+    received, powers, total = np.empty(u.size, np.complex128), squared_modulus(u), 0j
     for i in range(u.size):
         received[i] = np.sum(y[i * n_rx : (i + 1) * n_rx] * np.conj(a_rx))
         total += np.conj(u[i]) * received[i]
@@ -169,7 +170,7 @@ def clustered(
         return 0.0, 0.0
     left = received - total / power * u
     dof = power * power / np.sum(powers * powers) - 1.0
-    b = float(np.sum(powers * np.abs(left) ** 2)) * (dof + 1.0) / max(dof, LEAST_DOF)
+    b = float(np.sum(powers * squared_modulus(left))) * (dof + 1.0) / max(dof, LEAST_DOF)
     return power * length, b
 
 

@@ -13,8 +13,8 @@ from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri
 
+from cogradar.shared.numerics.elementwise import arcsin, hypot, ndtr, ndtri
 from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, apart, bin_centres
 from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.monopulse import off_axis_loss as one_way_loss
@@ -41,7 +41,7 @@ def bin_edges(bin_: int, n_bin: int) -> Floats:
 
 def draw_positions(bin_: int, n_bin: int, range_km: Floats, rng: np.random.Generator) -> Floats:
     """Positions at these ranges, (n,) -> (n, 2), their bearings uniform in angle within a bin: none is preferred."""
-    low, high = np.arcsin(2.0 * bin_edges(bin_, n_bin))
+    low, high = arcsin(2.0 * bin_edges(bin_, n_bin))
     theta = rng.uniform(low, high, range_km.size)
     return np.asarray(range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta))))
 
@@ -121,7 +121,7 @@ class BinResponse:
         self, particles: Floats, nu_c: float, _measured: tuple[float, float], rng: np.random.Generator
     ) -> Floats:
         """Particles, (n, 4), in the direction of a detection, with the ranges and velocities that they have."""
-        moved, ranges_km = particles.copy(), np.hypot(particles[:, 0], particles[:, 2])
+        moved, ranges_km = particles.copy(), hypot(particles[:, 0], particles[:, 2])
         moved[:, 0::2] = draw_positions(self.bin_for_ranges(nu_c), self.n_bin, ranges_km, rng)
         return moved
 
@@ -195,11 +195,11 @@ class LobeResponse:
             return placed(particles, np.maximum(rng.uniform(range_km - half, range_km + half, nu.size), 0.0), nu)
         # R_0 explains the amplitude on axis, so that R_0 sqrt(D_T D_R(nu - nu_c)) explains it in direction nu.
         loss = np.maximum(self.loss(nu - nu_c), _LEAST_LOSS)
-        return placed(particles, np.hypot(particles[:, 0], particles[:, 2]) * np.sqrt(loss), nu)
+        return placed(particles, hypot(particles[:, 0], particles[:, 2]) * np.sqrt(loss), nu)
 
     def turned(self, particles: Floats, nu_c: float, measured: tuple[float, float], rng: np.random.Generator) -> Floats:
         nu = self._directions(nu_c, measured, particles.shape[0], rng)
-        return placed(particles, np.hypot(particles[:, 0], particles[:, 2]), nu)
+        return placed(particles, hypot(particles[:, 0], particles[:, 2]), nu)
 
     def row_of(self, nus: Floats, sigma: Floats, limits: tuple[float, float, float], nu: float) -> Floats:
         row, nearest = np.zeros(LOOKS_ROW), np.argsort(np.abs(nus - nu), kind="stable")[:KEPT_LOOKS]

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import arcsin
 from cogradar.shared.signal.response import grid
 
 Floats = NDArray[np.float64]
@@ -137,7 +138,7 @@ class Strongest(NamedTuple):
     @property
     def angle_deg(self) -> float:
         """Its direction from boresight."""
-        return float(np.degrees(np.arcsin(np.clip(2.0 * self.nu, -1.0, 1.0))))
+        return float(np.degrees(arcsin(np.clip(2.0 * self.nu, -1.0, 1.0))))
 
     def __str__(self) -> str:
         return (

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import log10, squared_modulus, times
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import product, singular
 from cogradar.shared.signal.array import steering_vector
 
 Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
@@ -19,7 +21,7 @@ Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d
 def covariance(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Transmit covariance R = (isotropic / n_tx) I + F F^H, (n_tx, n_tx) complex; tr R = isotropic + ||F||_F^2."""
     n_tx = factor.shape[0]
-    R: NDArray[np.complex128] = isotropic / n_tx * np.eye(n_tx) + factor @ factor.conj().T
+    R: NDArray[np.complex128] = isotropic / n_tx * np.eye(n_tx) + product(factor, factor.conj().T)
     return R
 
 
@@ -34,7 +36,7 @@ def root(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex
     Cost O(n_tx r^2 + n_tx^2 r) through the thin SVD, against O(n_tx^3) for the square root of R itself.
     """
     level, u, gain = _root_parts(isotropic, factor)
-    return level * np.eye(factor.shape[0]) + (u * gain) @ u.conj().T
+    return np.asarray(level * np.eye(factor.shape[0]) + product(u * gain, u.conj().T))
 
 
 def transmit_signatures(
@@ -103,7 +105,7 @@ class Signatures:
     def _work_out(self, nus: NDArray[np.float64]) -> None:
         a_tx, a_rx = steering_vector(nus, self.root[1].shape[0]), steering_vector(nus, self.n_rx)
         if self._elements is not None:
-            a_tx, a_rx = a_tx * self._elements.sent, a_rx * self._elements.received
+            a_tx, a_rx = times(a_tx, self._elements.sent), times(a_rx, self._elements.received)
         halves = _transmitted(self.root, a_tx), a_rx
         self._known |= zip(nus.tolist(), zip(*halves, strict=True), strict=True)
 
@@ -132,7 +134,7 @@ def signature(root: Root, nu: float, n_rx: int) -> Signature:
 
 def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
     """Power sent towards nu, a^T R a^* = isotropic + ||a^T F||^2; (n,) spatial frequencies -> (n,) power."""
-    fields = steering_vector(nus, factor.shape[0]) @ factor
+    fields = product(np.atleast_2d(steering_vector(nus, factor.shape[0])), factor)
     return np.asarray(isotropic + np.sum(fields.real**2 + fields.imag**2, axis=1))
 
 
@@ -150,28 +152,54 @@ def peak_to_average_db(isotropic: float, factor: NDArray[np.complex128]) -> NDAr
     n = factor.shape[0]
     m = np.arange(n)
     sequence = np.exp(-1j * np.pi * m * (m + n % 2) / n)
-    power = np.abs(root(isotropic, factor) @ sequence[(m - m[:, np.newaxis]) % n]) ** 2
+    power = squared_modulus(product(root(isotropic, factor), sequence[(m - m[:, np.newaxis]) % n]))
     mean = power.mean(axis=1)
     ratio = np.divide(power.max(axis=1), mean, out=np.ones(n), where=mean > 0.0)
-    return np.asarray(10.0 * np.log10(ratio))
+    return np.asarray(10.0 * log10(ratio))
 
 
 def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.complex128]:
     """Factor of a sum of conventional beams, R = sum_m shares_m a_m^* a_m^T / n_tx.
 
-    nus, shares : (M,) spatial frequencies, power of each beam; returns (n_tx, M), columns sqrt(shares_m / n_tx) a_m^*
+    nus, shares : (M,) spatial frequencies, power of each beam
+    returns     : (n_tx, M), columns sqrt(shares_m / n_tx) a_m^*, a_m with its phase reference at the array's centre:
+                  they are conjugate symmetric to the last bit, as `antennas` makes them
     """
-    return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * steering_vector(nus, n_tx).conj()).T
+    places = np.arange(n_tx) - 0.5 * (n_tx - 1)
+    beams: NDArray[np.complex128] = np.exp(-2j * np.pi * np.multiply.outer(places, nus))
+    return beams * np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)
+
+
+def antennas(coordinates: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Conjugate symmetric excitations of the antennas from their real coordinates, (n_tx, r) -> (n_tx, r).
+
+    The coordinates are of a unitary basis: sqrt 2 times the real and minus the imaginary parts of the upper half, and
+    the middle antenna if n_tx is odd.
+    """
+    half = coordinates.shape[0] // 2
+    upper = (coordinates[:half] - 1j * coordinates[half : 2 * half]) / np.sqrt(2)
+    middle = coordinates[2 * half :].astype(np.complex128)
+    return np.concatenate([upper[::-1].conj(), middle, upper])
+
+
+def _coordinates(factor: NDArray[np.complex128]) -> NDArray[np.float64] | None:
+    """What `antennas` makes the factor of; None of one whose columns are not conjugate symmetric."""
+    if not np.array_equal(factor, factor[::-1].conj()):
+        return None
+    half = factor.shape[0] // 2
+    upper, middle = factor[factor.shape[0] - half :], factor[half : factor.shape[0] - half]
+    return np.concatenate((np.sqrt(2) * upper.real, -np.sqrt(2) * upper.imag, middle.real))
 
 
 def _transmitted(parts: Root, a: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """W^T a of steering vectors, (n, n_tx) -> (n, n_tx)."""
     level, u, gain = parts
-    return level * a + ((a @ u) * gain) @ u.conj().T
+    return np.asarray(level * a + product(product(a, u) * gain, u.conj().T))
 
 
 def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> Root:
     """w_0, U and d of the square root (`root`)."""
     level = float(np.sqrt(isotropic / factor.shape[0]))
-    u, s, _ = np.linalg.svd(factor, full_matrices=False)
-    return level, np.ascontiguousarray(u), np.sqrt(level**2 + s**2) - level
+    real = _coordinates(factor)  # of all built-in rules: a quarter of the arithmetic
+    u, s = singular(factor if real is None else real)
+    return level, u if real is None else antennas(u), np.sqrt(level**2 + s**2) - level

@@ -11,8 +11,10 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from cogradar.shared.numerics import elementwise
+from cogradar.shared.numerics.elementwise import exp, expm1, interpolated, log_sum_exp, modulus, power, times
+from cogradar.shared.numerics.linear import inner, product
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import apart
 from cogradar.shared.signal.echo_laws import LAWS
@@ -28,7 +30,9 @@ Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _RANGES = 32  # nodes over the prior of range, where it is not measured
-_LOSSES = 10.0 ** (-0.05 * np.array([0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0]))  # of an echo beside its look and range cell
+_LOSSES = power(
+    10.0, -0.05 * np.array([0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0])
+)  # of an echo beside its look and range cell
 _CELLS = 3  # range cells that may report one echo, but for the first and the last one
 _HYPOTHESES, _SPREADS = 10.0, 6.0  # as many amplitudes, about, share the prior of one; of r, in standard deviations
 _QUANTILES, _NODES = 64, 512  # of the largest noise of a row; of a table over ln u from _LEAST to _MOST
@@ -72,7 +76,7 @@ class _RangeCells(NamedTuple):
 
     def log_empty(self, n_near: Floats) -> Floats:
         """Log probability that noise is largest in none of the tests near a position, so many."""
-        return np.log(np.maximum(1.0 - n_near / self.n_test, _TINY))
+        return elementwise.log(np.maximum(1.0 - n_near / self.n_test, _TINY))
 
 
 class _Seen(NamedTuple):
@@ -129,7 +133,7 @@ class Candidates:
         where, rows = self._positions
         is_own = self._cells.is_near(where[:, 1], scan.ranges_km[rows])
         self._totals += np.where(is_own, scan.statistic[rows], 0.0)
-        self._beside += scan.alpha_hat[[1, -2]] * scan.alpha_hat[[0, -1]].conj()
+        self._beside += times(scan.alpha_hat[[1, -2]], scan.alpha_hat[[0, -1]].conj())
 
     def found(self) -> list[tuple[int, float]] | None:
         """Bin and range in km of each track, by bin, if every target is confirmed; else None. Range 0: not measured."""
@@ -151,7 +155,7 @@ class Candidates:
         """Log odds that there is a target in each position, (n,)."""
         n_hypothesis = self._log_ratios.shape[1] * self._cells.n_range
         share = self._model.n_track / self._model.sensor.n_bin / n_hypothesis
-        return np.asarray(logsumexp(self._log_ratios, axis=1) + log(share))
+        return np.asarray(log_sum_exp(self._log_ratios) + log(share))
 
     def _begin(self, scan: Detections) -> None:
         """Positions that a scan is the first to report, as far as it speaks for a target there."""
@@ -183,7 +187,7 @@ class Candidates:
             used &= ~cells.is_near(ranges_km[:, np.newaxis], seen.lost_km).any(axis=1, keepdims=True)
         u = np.divide(amplitudes, sigma[:, np.newaxis], out=np.zeros(amplitudes.shape), where=used)
         near, r = cells.n_near(ranges_km)[:, np.newaxis], r[:, np.newaxis]
-        there = self._law.log_likelihood(r, u) + r**2 - np.log(near)
+        there = self._law.log_likelihood(r, u) + r**2 - elementwise.log(near)
         if cells.n_range > 1:
             is_own = cells.is_near(ranges_km, reported_km)[:, np.newaxis]
             elsewhere = _log_missed(self._model.sensor.rcs, cells.n_test, u) - cells.log_empty(near)
@@ -200,7 +204,7 @@ class Candidates:
         mates = model.response.is_one_echo(where[:, 0], where[:, 1], (where[:, :1], where[:, 1:]))
         is_other_end = mates & (np.abs(where[:, :1] - where[:, 0]) > 0.5)
         totals = self._totals[sure] * (n_scan / np.maximum(self._measured[rows], 1))  # rows may lack other scans
-        strength = totals + is_other_end @ totals
+        strength = totals + product(is_other_end.astype(np.float64), totals)
         which_end = np.array([self._beside_end(row) for row in rows.tolist()])
         if model.response.measures_range:  # looks beside the bins' centres: those at both ends are not of one direction
             which_end = totals
@@ -217,7 +221,7 @@ class Candidates:
         same phase in each scan; disturbance and other targets are not.
         """
         last = self._model.sensor.n_bin - 1
-        return float(np.abs(self._beside[int(row == last)])) if row in {0, last} else 0.0
+        return float(modulus(self._beside[int(row == last)])) if row in {0, last} else 0.0
 
     def _amplitudes(self, ranges_km: Floats) -> Floats:
         """|alpha| of the hypotheses at measured ranges, (n,) -> (n, n_hypothesis); 0: not measured."""
@@ -263,8 +267,8 @@ def expected_scans(radar: RadarConfig, u: float) -> float:
     r, step = np.linspace(low, high, _NODES, retstep=True)
     r = r + 0.5 * step
     ratio = law.log_likelihood(r, np.array(u)) + r**2
-    found = 2.0 * r * np.exp(ratio - r**2) * (-np.expm1(-(r**2))) ** (cells.n_test - 1) * step
-    adds = float(found @ (ratio - log(near)))
+    found = 2.0 * r * exp(ratio - r**2) * power(-expm1(-(r**2)), cells.n_test - 1.0) * step
+    adds = inner(found, ratio - log(near))
     if cells.n_range > 1:
         elsewhere = _log_missed(radar.assumes.rcs, cells.n_test, np.array(u)) - cells.log_empty(np.array(near))
         adds += max(1.0 - float(found.sum()), 0.0) * float(elsewhere)
@@ -275,14 +279,14 @@ def expected_scans(radar: RadarConfig, u: float) -> float:
 def _log_missed(rcs: str, n_test: int, u: Floats) -> Floats:
     """log(1 - P(u)), P(u) probability that an echo exceeds the largest of n_test - 1 tests of noise; (...) -> (...)."""
     table = _missed_table(rcs, n_test)
-    return np.asarray(np.interp(np.log(np.maximum(u, _TINY)), np.linspace(_LEAST, _MOST, _NODES), table))
+    return np.asarray(interpolated(elementwise.log(np.maximum(u, _TINY)), np.linspace(_LEAST, _MOST, _NODES), table))
 
 
 @lru_cache(maxsize=8)
 def _missed_table(rcs: str, n_test: int) -> Floats:
     """log(1 - P(u)) at equal steps of ln u, the mean over quantiles of the largest noise; (_NODES,)."""
-    u, law = np.exp(np.linspace(_LEAST, _MOST, _NODES)), LAWS[rcs]
+    u, law = exp(np.linspace(_LEAST, _MOST, _NODES)), LAWS[rcs]
     shares = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    largest = np.sqrt(-np.log(-np.expm1(np.log(shares) / (n_test - 1))))
-    missed = np.mean([np.exp(law.log_band(0.0, float(r), u)) for r in largest], axis=0)
-    return np.asarray(np.log(np.maximum(missed, _TINY)))
+    largest = np.sqrt(-elementwise.log(-expm1(elementwise.log(shares) / (n_test - 1))))
+    missed = np.mean([exp(law.log_band(0.0, float(r), u)) for r in largest], axis=0)
+    return np.asarray(elementwise.log(np.maximum(missed, _TINY)))

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot, modulus
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.angle import apart
 from cogradar.shared.signal.looks import NEIGHBOURS
@@ -118,7 +119,7 @@ class Assignment:
         for label in np.unique(self._labels[self._alone == _COMPETES]).tolist():
             cluster = self._cluster(label)
             claimed[cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]]] = True
-        columns = (scan.statistic, np.abs(scan.alpha_hat), scan.sigma_hat)
+        columns = (scan.statistic, modulus(scan.alpha_hat), scan.sigma_hat)
         seen = np.vstack((self._seen, np.array(columns)[:, over]))
         widths, loss = (self._response.lobe, self._response.range_cell_km), self._response.loss_table()
         return np.asarray(over[_new_echoes(self._order, seen, claimed[over], self._places, widths, loss)])
@@ -195,7 +196,7 @@ def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floa
     nu_c    : of the look
     chances : (m,) p_i, probability of each to be in the range cell
     """
-    return float(np.sqrt(chances @ (response.loss(nus - nu_c) * (nus - nus[own])) ** 2))
+    return float(np.sqrt(np.sum(chances * (response.loss(nus - nu_c) * (nus - nus[own])) ** 2)))
 
 
 def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
@@ -366,7 +367,7 @@ def _pairs_of(
         for b in range(theirs.size):
             detection = seen[:, theirs[b]]
             nu_c, cell, nu_hat, measured = detection
-            sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
+            sigma = hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
             distance_sq = (apart(nu_hat, nu) / sigma) ** 2
             fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
             odds = log(max(found, _TINY) / (1.0 - found))

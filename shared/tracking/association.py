@@ -18,12 +18,12 @@ The orthogonal strategy tests all cells for all tracks, and one detection belong
 """
 
 from collections.abc import Sequence
-from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import hypot, modulus
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
@@ -102,7 +102,7 @@ def _is_lost(model: TrackerModel, state: TrackState, scan: Detections) -> bool:
     if scan.lost_km is None:
         return False
     expected = predicted_states(state.belief.sample(), model.motion.dt)
-    ranges_km = np.hypot(expected[:, 0], expected[:, 2])
+    ranges_km = hypot(expected[:, 0], expected[:, 2])
     return bool(scan.is_lost(ranges_km, model.response.range_cell_km).mean() > MOST_LOST)
 
 
@@ -111,7 +111,7 @@ def _is_as_told(model: TrackerModel, state: TrackState, scan: Detections, at: in
     nu, nu_sigma, range_km, range_sigma = (float(value) for value in np.asarray(scan.expected)[at, :4])
     expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
     off_nu = float(apart(spatial_frequency(expected).mean(), nu))
-    off_km = abs(float(np.hypot(expected[:, 0], expected[:, 2]).mean()) - range_km)
+    off_km = abs(float(hypot(expected[:, 0], expected[:, 2]).mean()) - range_km)
     is_there = not response.measures_range or off_km < _AS_TOLD * range_sigma + response.range_cell_km
     return is_there and off_nu < _AS_TOLD * nu_sigma + 0.5 * response.lobe
 
@@ -135,7 +135,7 @@ def detected_look(response: Response, scan: Detections, row: int, gate: Gate = (
     """The look of a detection in a row of the scan."""
     columns = (scan.nus, scan.sigma_hat, scan.limits, scan.nu_hats, scan.nu_sigmas, scan.ranges_km)
     nu, sigma_hat, limit, *measured = (float(column[row]) for column in columns)
-    r = min(float(abs(scan.alpha_hat[row])) / sigma_hat, MAX_AMPLITUDE)
+    r = min(float(modulus(scan.alpha_hat[row])) / sigma_hat, MAX_AMPLITUDE)
     nu_hat, nu_sigma, range_km = measured
     return found_look(response, nu, sigma_hat, limit, r, (nu_hat, nu_sigma, range_km), gate)
 
@@ -277,9 +277,9 @@ def _by_belief(model: TrackerModel, state: TrackState, scan: Detections, rows: I
     where it expects the target.
     """
     expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
-    nus, ranges_km = spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
+    nus, ranges_km = spatial_frequency(expected), hypot(expected[:, 0], expected[:, 2])
     off_nu, off_km = apart(scan.nu_hats, float(nus.mean())), np.abs(scan.ranges_km - ranges_km.mean())
-    is_near = off_nu < _SIGMAS * np.hypot(nus.std(), scan.nu_sigmas) + 0.5 * response.lobe
+    is_near = off_nu < _SIGMAS * hypot(nus.std(), scan.nu_sigmas) + 0.5 * response.lobe
     if response.measures_range:
         is_near &= off_km < _SIGMAS * ranges_km.std() + response.range_cell_km
     found = echoes(response, scan, np.flatnonzero(scan.is_over() & is_near))

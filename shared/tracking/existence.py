@@ -27,7 +27,9 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics import elementwise
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import inner, solve
 from cogradar.shared.scenario.limits import ALERTS, SECONDS_PER_HOUR
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.tracking.belief.interface import Belief
@@ -257,11 +259,11 @@ def _confirmed(bound: float, p_fa: float, dt_s: float) -> float:
     falls = np.searchsorted(edges, centres + log(1.0 - _P_D), side="right") - 1
     missed = np.flatnonzero(falls >= 0)
     moves[missed, falls[missed]] += 1.0 - p_fa
-    confirmed = np.linalg.solve(np.eye(n) - moves, p_fa * rises[:, -1])
+    confirmed = solve(np.eye(n) - moves, p_fa * rises[:, -1])
     first = _exceeds(edges, _log_odds_at_birth(1.0, dt_s))
-    return float((first[:-1] - first[1:]) @ confirmed + first[-1])
+    return inner(first[:-1] - first[1:], confirmed) + float(first[-1])
 
 
 def _exceeds(log_odds: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     """Probability that least + (kappa - 1) ln s exceeds these, s even in 0 .. 1."""
-    return np.exp(np.minimum((least - log_odds) / (1.0 - KAPPA), 0.0))
+    return elementwise.exp(np.minimum((least - log_odds) / (1.0 - KAPPA), 0.0))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import arcsin, exp, interpolated, log, log_sum_exp, modulus
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.radar_equation import amplitude
 from cogradar.shared.signal.response import draw_positions, placed
@@ -90,7 +91,7 @@ def initial_belief(
     law = model.sensor.law
     used = sigma_hat > 0.0
     sigma = sigma_hat[used].astype(np.float64)
-    r = np.abs(alpha_hat[used]).astype(np.float64) / sigma
+    r = modulus(alpha_hat[used]).astype(np.float64) / sigma
     gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: Floats) -> Floats:
@@ -117,23 +118,23 @@ def draw_places(
     n_bin, law = model.sensor.n_bin, model.sensor.law
     bins = np.arange(max(bin_ - 1, 0), min(bin_ + 2, n_bin))
     centres = bin_centres(n_bin)
-    strongest = max(float(np.abs(scan.alpha_hat[bins]).max()) for scan in scans)
+    strongest = max(float(modulus(scan.alpha_hat[bins]).max()) for scan in scans)
     grid = np.linspace(0.0, _STRONGER * strongest, _AMPLITUDES + 1)
     tables = [_log_likelihood(law.log_likelihood, scans, int(bin_), grid) for bin_ in bins]
     reach = _REACH / (n_bin - 1)
     edges = np.clip(centres[bin_] + np.linspace(-reach, reach, _DIRECTIONS + 1), -0.5, 0.5)
-    nus, log_prior = 0.5 * (edges[1:] + edges[:-1]), np.log(np.diff(np.arcsin(2.0 * edges)) + _TINY)
+    nus, log_prior = 0.5 * (edges[1:] + edges[:-1]), log(np.diff(arcsin(2.0 * edges)) + _TINY)
     losses = model.response.loss(nus - centres[bins][:, np.newaxis])
 
     def log_p(range_km: Floats) -> Floats:
         at_range = amplitude(model.sensor.amplitude, range_km**2)[:, np.newaxis]
-        looked_up = (np.interp(at_range * loss, grid, table) for loss, table in zip(losses, tables, strict=True))
+        looked_up = (interpolated(at_range * loss, grid, table) for loss, table in zip(losses, tables, strict=True))
         return np.asarray(sum(looked_up) + log_prior)
 
-    ranges_km = likely_ranges(model, lambda range_km: np.logaddexp.reduce(log_p(range_km), axis=1))
+    ranges_km = likely_ranges(model, lambda range_km: log_sum_exp(log_p(range_km)))
     middles = 0.5 * (ranges_km[1:] + ranges_km[:-1])
     likelihood = log_p(middles)
-    cdf = np.cumsum(np.exp(likelihood - likelihood.max()))
+    cdf = np.cumsum(exp(likelihood - likelihood.max()))
     drawn = np.searchsorted(cdf, rng.random(model.belief.n_particle) * cdf[-1], side="right")
     i, j = np.divmod(np.minimum(drawn, cdf.size - 1), nus.size)
     return rng.uniform(edges[j], edges[j + 1]), rng.uniform(ranges_km[i], ranges_km[i + 1])
@@ -143,7 +144,11 @@ def _log_likelihood(
     law: Callable[[Floats, Floats], Floats], scans: Sequence[Detections], bin_: int, amplitudes: Floats
 ) -> Floats:
     """Of each amplitude of the echo in a cell, from all scans that have a noise estimate; (n,) -> (n,)."""
-    seen = [(abs(scan.alpha_hat[bin_]), float(scan.sigma_hat[bin_])) for scan in scans if scan.sigma_hat[bin_] > 0.0]
+    seen = [
+        (float(modulus(scan.alpha_hat[bin_])), float(scan.sigma_hat[bin_]))
+        for scan in scans
+        if scan.sigma_hat[bin_] > 0.0
+    ]
     return np.asarray(sum((law(np.array(a / s), amplitudes / s) for a, s in seen), np.zeros(amplitudes.size)))
 
 
@@ -212,9 +217,9 @@ def _draw_ranges(model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng
     log_likelihood = model.sensor.law.of_range(log_likelihood)
     grid = likely_ranges(model, log_likelihood)
     log_p = log_likelihood(grid)
-    density = np.exp(log_p - log_p.max())
+    density = exp(log_p - log_p.max())
     cdf = np.concatenate(([0.0], np.cumsum(density[1:] + density[:-1])))
-    return np.asarray(np.interp(rng.random(n), cdf / cdf[-1], grid))
+    return interpolated(rng.random(n), cdf / cdf[-1], grid)
 
 
 def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> Floats:

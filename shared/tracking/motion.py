@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import exp
 from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.numerics.linear import multiply, product
 from cogradar.shared.signal.angle import bin_of
 
 State = tuple[float, float, float, float]
@@ -130,8 +132,8 @@ def modes_at_first() -> NDArray[np.float64]:
 
 def modes_after(modes: NDArray[np.float64], dt: float | NDArray[np.float64]) -> NDArray[np.float64]:
     """Probabilities of the modes dt seconds later, (3,) -> (3,), or (M, 3) and (M, 1); a mode lasts exponentially."""
-    stays = np.exp(-dt / _LASTS_S)
-    return np.asarray(stays * modes + ((1.0 - stays) * modes) @ _NEXT)
+    stays = exp(-dt / _LASTS_S)
+    return np.asarray(stays * modes + product((1.0 - stays) * modes, _NEXT))
 
 
 @kernel
@@ -219,7 +221,7 @@ def predicted_moments(
             continue
         moved[m] = np.array(advance(means[m, 0], means[m, 1], means[m, 2], means[m, 3], dt[m], 0.0, 0.0))
         a[0, 1] = a[2, 3] = dt[m]
-        spread[m] = a @ covariances[m] @ a.T
+        spread[m] = multiply(multiply(a, covariances[m]), a.T)
         # A uniform acceleration of at most a along one of two axes, wherever that points: a^2 / 6 of each.
         variance = sigma_s * sigma_s
         for mode in range(1, _ACROSS.size):

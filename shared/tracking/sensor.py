@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import exp, log
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.echo_laws import LAWS, EchoLaw
 from cogradar.shared.signal.radar_equation import amplitude_at_1_km
@@ -98,8 +99,8 @@ def log_amplitude_probability(r: float, threshold: float, u: ArrayLike, rcs: str
     returns : (...) finite; 0 where rounding, or a threshold of P_FA > 0.03, would make P more than 1
     """
     r = max(r, sqrt(0.5 * threshold))
-    log_f = np.log(2.0 * r) + LAWS[rcs].log_likelihood(np.asarray(r), np.asarray(u, dtype=np.float64))
-    return np.asarray(np.minimum(np.log(STEP) + log_f, 0.0))
+    log_f = log(2.0 * r) + LAWS[rcs].log_likelihood(np.asarray(r), np.asarray(u, dtype=np.float64))
+    return np.asarray(np.minimum(log(STEP) + log_f, 0.0))
 
 
 def log_hit_probability(sensor: Sensor, amplitude: float, u: ArrayLike) -> NDArray[np.float64]:
@@ -136,7 +137,7 @@ def _hit_table(sensor: Sensor) -> tuple[float, NDArray[np.float64]]:
 def _nodes(sensor: Sensor, low: float, high: float) -> tuple[NDArray[np.float64], float]:
     """Values of u at which amplitudes between these are tabulated, and where the table of these starts."""
     if sensor.law.fluctuates:
-        return np.exp(np.arange(_LEAST_LOG, _MOST_LOG, 1.0 / _NODES_PER_UNIT)), _LEAST_LOG
+        return exp(np.arange(_LEAST_LOG, _MOST_LOG, 1.0 / _NODES_PER_UNIT)), _LEAST_LOG
     start = max(low - _MARGIN, 0.0)
     return start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT, start
 

@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 
 import zenoh
 
+from cogradar.shared.protocol.build import difference
 from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, PROTOCOL, QUERY, Role
 
 log = logging.getLogger(__name__)
@@ -87,7 +88,7 @@ def alive(session: zenoh.Session, own: str) -> Alive:
         if protocol != str(PROTOCOL):
             strangers.append(f"{name} speaks protocol {protocol}, this program {PROTOCOL}")
         elif build != system and role != Role.OPERATOR:
-            strangers.append(f"{name} runs build {build}, this system {system}")
+            strangers.append(f"{name} {difference(build, system)}")
         elif role in set(Role):
             names.setdefault(Role(role), []).append(name)
     return Alive(system, names, strangers)

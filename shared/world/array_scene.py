@@ -27,6 +27,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import power
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.world_config import WorldArraySection, WorldConfig
 from cogradar.shared.signal.array import spatial_frequency
@@ -109,7 +110,7 @@ class ArrayScene(Scene):
     def _echoes(self, k: int) -> Echoes:
         """Echoes of the targets that are there."""
         nus, alphas, width = spatial_frequency(self.measured_states), self._amplitudes(k), self._receiver.range_cell_km
-        alphas *= np.sqrt(1.0 - 4.0 * nus**2) ** self._pattern_exponent
+        alphas *= power(np.sqrt(1.0 - 4.0 * nus**2), self._pattern_exponent)
         echoes: dict[int, list[tuple[float, complex]]] = {}
         for m in np.flatnonzero(self.present).tolist():
             for range_cell, share in _straddled(float(self.range_km[m]), width):

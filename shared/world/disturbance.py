@@ -9,7 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.elementwise import times
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import polynomial
 from cogradar.shared.scenario.plugins.kinds import DISTURBANCE
 from cogradar.shared.scenario.plugins.names import PluginRefused
 from cogradar.shared.scenario.plugins.resolver import Caller, resolve
@@ -82,7 +84,7 @@ def guarded(model: Any, call: Caller) -> Disturbance:
 
 
 def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:
-    response = np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))) @ a
+    response = np.sum(times(np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))), a), axis=-1)
     return np.asarray(1.0 / (response.real**2 + response.imag**2))
 
 
@@ -97,7 +99,7 @@ class Autoregressive:
 
     def __init__(self, poles: tuple[tuple[float, float], ...], *, heavy_tailed: bool, textured: bool) -> None:
         self._heavy_tailed, self._textured = heavy_tailed, textured
-        coefficients = np.poly([modulus * np.exp(2j * np.pi * turns) for modulus, turns in poles])
+        coefficients = polynomial([modulus * np.exp(2j * np.pi * turns) for modulus, turns in poles])
         self._a = np.zeros(_MAX_ORDER + 1, dtype=np.complex128)  # 1, -a_1 .. -a_6 of A(z); zero above its own order
         self._a[: len(poles) + 1] = coefficients
         self._mean = float(np.mean(_inverse_square(self._a, np.arange(512) / 512)))  # of the spectrum

@@ -3,6 +3,7 @@
 Symbols: Y data set of a range cell, (n_tx, n_rx); k dwell; W waveform; a(nu) steering vector.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -10,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import power, tan, times
+from cogradar.shared.numerics.linear import product
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.radar_config import ArraySection
 from cogradar.shared.scenario.world_config import ClutterSection, JammerSection
@@ -53,7 +56,7 @@ class Jammer:
         """received: (n_rx,) a_R of its direction."""
         rng = generator(self._seed, Purpose.JAMMER, self._index * _CELL_KEY + range_cell, k)
         g = self._amplitude * np.sqrt(0.5) * rng.standard_normal(2 * y.shape[0]).view(np.complex128)
-        y += np.multiply.outer(g, received)
+        y += times(g[:, np.newaxis], received)
 
 
 class Clutter:
@@ -73,9 +76,9 @@ class Clutter:
         n, self._seed = section.patches, seed
         angles = np.pi * ((np.arange(n) + 0.5) / n - 0.5)
         self._nus: list[float] = (0.5 * np.sin(angles)).tolist()
-        power = 10.0 ** (section.cnr_db / 10.0) * array.n_tx / (array.power * n)
-        self._amplitudes = np.sqrt(0.5 * power) * np.cos(angles) ** pattern_exponent
-        self._spread = -np.log(section.correlation)
+        level = 10.0 ** (section.cnr_db / 10.0) * array.n_tx / (array.power * n)
+        self._amplitudes = np.sqrt(0.5 * level) * power(np.cos(angles), pattern_exponent)
+        self._spread = -math.log(section.correlation)
 
     def during(self, k: int, _time_s: float, signatures: Signatures) -> Add:
         """In each dwell."""
@@ -85,11 +88,11 @@ class Clutter:
 
     def _add(self, k: int, sent: Complexes, received: Complexes, y: Complexes, range_cell: int) -> None:
         """Signatures of the patches: sent (n_patch, n_tx) W^T a_T, received (n_patch, n_rx) a_R."""
-        y += (sent * self.echoes(range_cell, k)[:, np.newaxis]).T @ received
+        y += product(times(sent, self.echoes(range_cell, k)[:, np.newaxis]).T, received)
 
     def echoes(self, range_cell: int, k: int) -> Complexes:
         """gamma_q of the patches of a range cell in dwell k, (n_patch,)."""
         rng = generator(self._seed, Purpose.CLUTTER, range_cell, 0)
         a = self._amplitudes * rng.standard_normal(2 * len(self._nus)).view(np.complex128)
-        turns = np.remainder(self._spread * np.tan(np.pi * (rng.random(len(self._nus)) - 0.5)), 2.0 * np.pi)
-        return np.asarray(a * np.exp(1j * k * turns))
+        turns = np.remainder(self._spread * tan(np.pi * (rng.random(len(self._nus)) - 0.5)), 2.0 * np.pi)
+        return times(a, np.exp(1j * k * turns))

@@ -15,7 +15,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot, log10
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import energy
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.world_config import WorldConfig
@@ -101,12 +103,12 @@ class Scene(ABC):
     @property
     def range_km(self) -> NDArray[np.float64]:
         """Range of each target, (M,)."""
-        return np.asarray(np.hypot(self.measured_states[:, 0], self.states[:, 2]))
+        return np.asarray(hypot(self.measured_states[:, 0], self.states[:, 2]))
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
         """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
-        return np.asarray(20.0 * np.log10(amplitude(self._at_1_km, self.range_km**2)))
+        return np.asarray(20.0 * log10(amplitude(self._at_1_km, self.range_km**2)))
 
     def move(self) -> None:
         """Let the targets fly for one dwell."""
@@ -164,7 +166,7 @@ class Scene(ABC):
         occupied : numbers of the other cells, ascending
         """
         u, a_rx = signature
-        signature_power = float(np.vdot(u, u).real) * a_rx.size
+        signature_power = energy(u) * a_rx.size
         if signature_power == 0.0:
             return Measured(look, Cell(0.0, 0j, 0.0, 0.0), 0.0, look.nu, 0.0)
         n = len(look.cells) - len(occupied)

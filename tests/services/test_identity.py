@@ -147,6 +147,15 @@ def test_who_comes_with_another_build_is_told_that_it_takes_part_in_nothing(
     assert f"newcomer runs build {build()}, this system 9c2e: it takes part in nothing" in caplog.text
 
 
+def test_who_computes_otherwise_is_told_that_it_takes_part_in_nothing(
+    router: str, session: Session, caplog: pytest.LogCaptureFixture
+) -> None:
+    own, _, arithmetic = build().partition("-")
+    with _seen(router, Role.RECORDER, "recorder-1", f"{own}-0a1b2c3d"), caplog.at_level(logging.WARNING):
+        _enter(Role.PLANNER, session)
+    assert f"newcomer computes otherwise (arithmetic {arithmetic}, this system 0a1b2c3d)" in caplog.text
+
+
 def test_what_another_build_says_is_not_heard(router: str, session: Session) -> None:
     bus, plan = ZenohBus(open_session([router], 10.0, lambda: None), Role.ALLOCATOR, "a"), samples.plan()
     foreign = plan.model_copy(update={"k": plan.k + 1})

@@ -10,7 +10,9 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import modulus, squared_modulus, times
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import energy, product
 from cogradar.shared.signal.detector.levels import Levels, level_of
 from cogradar.shared.signal.detector.separation import (
     Echoes,
@@ -133,8 +135,8 @@ class DataSet:
         if self.echoes.nus.size:
             return self._left.powers(nus)
         z, u, power = self._beamformed(nus)
-        alphas = np.sum(u.conj() * z, axis=1) / np.maximum(power, _TINY)
-        return np.asarray(np.abs(alphas) ** 2)
+        alphas = np.sum(times(u.conj(), z), axis=1) / np.maximum(power, _TINY)
+        return np.asarray(squared_modulus(alphas))
 
     def tests_beside(self, nus: Floats, levels: Levels) -> Cells:
         """The tests of n directions with the noise of other range cells."""
@@ -207,14 +209,14 @@ class DataSet:
             y = without(y, self.echoes, is_other)
         rho, rho_sigma, sigma_hat = off_axis_echo(y, own, self._signatures.root, look.nu, self._lags)
         # Beside other echoes less is left of the signature, and alpha_hat is less certain.
-        whole = float(np.vdot(own[0], own[0]).real) * own[1].size
+        whole = energy(own[0]) * own[1].size
         sigma_hat *= np.sqrt(whole / cell.signature_power) if is_other.any() else 1.0
         cell = cell._replace(sigma_hat=sigma_hat or cell.sigma_hat)
         if not processing.monopulse:
             return measured._replace(cell=cell)
         n = own[1].size
         if rho_sigma == 0.0:
-            rho_sigma = flat_ratio_sigma(rho, abs(cell.alpha_hat) / cell.sigma_hat, n)
+            rho_sigma = flat_ratio_sigma(rho, modulus(cell.alpha_hat) / cell.sigma_hat, n)
         return Measured(look, cell, measured.range_km, *direction(look.nu, rho, rho_sigma, n))
 
     def _located_by_range(self, measured: Measured) -> Measured:
@@ -226,7 +228,7 @@ class DataSet:
         if is_other.any():
             y = without(y, self.echoes, is_other)
         rho, n = off_axis_echo(y, own, self._signatures.root, look.nu, self._lags)[0], own[1].size
-        rho_sigma = flat_ratio_sigma(rho, abs(cell.alpha_hat) / cell.sigma_hat, n)
+        rho_sigma = flat_ratio_sigma(rho, modulus(cell.alpha_hat) / cell.sigma_hat, n)
         return Measured(look, cell, measured.range_km, *direction(look.nu, rho, rho_sigma, n))
 
     def _row_tests(self, nus: Floats) -> Cells:
@@ -241,7 +243,7 @@ class DataSet:
         halves = [self._signatures.at(nu) for nu in nus.tolist()]
         u = np.array([one for one, _ in halves], np.complex128).reshape(-1, y.size // n_rx)
         a = np.array([one for _, one in halves], np.complex128).reshape(-1, n_rx)
-        return (y.reshape(-1, n_rx) @ a.conj().T).T, u, np.sum(np.abs(u) ** 2, axis=1) * n_rx
+        return product(y.reshape(-1, n_rx), a.conj().T).T, u, np.sum(squared_modulus(u), axis=1) * n_rx
 
 
 def wald_tests(y: Complexes, signatures: Signatures, nus: Floats) -> Cells:
@@ -329,7 +331,7 @@ def _statistics(alpha_hat: Complexes, b: Floats, signature_power: Floats) -> tup
     for j in range(b.size):
         if b[j] > 0.0:
             sigma_hat[j] = np.sqrt(b[j]) / signature_power[j]
-            statistic[j] = 2.0 * (abs(alpha_hat[j]) / sigma_hat[j]) ** 2
+            statistic[j] = 2.0 * (modulus(alpha_hat[j]) / sigma_hat[j]) ** 2
     return statistic, sigma_hat
 
 

@@ -16,12 +16,15 @@ Lambda / 2 = |alpha|^2 / (A + rho t_i) has about an F distribution with 2 and 2 
 1 / nu = 1 / (M - 2) + LEVEL_SPREAD / (n_tx n_rx), and is reported as the chi-square of the same probability.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import squared_modulus
+from cogradar.shared.numerics.fourier import fourier
 from cogradar.shared.numerics.jit import kernel
 
 Complexes = NDArray[np.complex128]
@@ -57,8 +60,8 @@ def level_of(y: Complexes, n_rx: int) -> float:
     """Level t of a data set, (n_tx n_rx,): mean power of an element of noise alone."""
     data = y.reshape(-1, n_rx)
     window = np.multiply.outer(*(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in data.shape))
-    spectrum = np.abs(np.fft.fft2(data * window)) ** 2
-    return float(np.median(spectrum) / (np.log(2.0) * np.sum(window**2)))
+    spectrum = squared_modulus(fourier(fourier(data * window).T))
+    return float(np.median(spectrum) / (math.log(2.0) * np.sum(window**2)))
 
 
 def range_levels(powers: Floats, levels: Floats, n_channel: int) -> Levels:

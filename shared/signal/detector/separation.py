@@ -34,7 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import log1p, modulus, squared_modulus, times
+from cogradar.shared.numerics.fourier import fourier
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import product, solve
 from cogradar.shared.signal.monopulse import off_axis, ratio
 from cogradar.shared.signal.receiver import LEAST_DOF, accumulate, band_sum, beamformed
 from cogradar.shared.signal.waveform import Root, Signature, Signatures, signature
@@ -81,11 +84,11 @@ def find_echoes(y: Complexes, signatures: Signatures) -> Echoes:
     turns = np.exp(1j * np.pi * np.arange(n_rx))  # the grid begins at -0.5
     nus, left = np.empty(0), y
     while nus.size < MOST_ECHOES:
-        z = np.fft.fft(left.reshape(-1, n_rx) * turns, grid_nus.size, axis=1)
+        z = fourier(times(left.reshape(-1, n_rx), turns), grid_nus.size)
         alphas, b, power, dof = row_tests(z.T, grid_u, n_rx)
-        statistic = as_chi_square(2.0 * (np.abs(alphas) * power) ** 2 / np.maximum(b, _TINY), dof)
+        statistic = as_chi_square(2.0 * squared_modulus(alphas) * power**2 / np.maximum(b, _TINY), dof)
         most = min(1 + nus.size // _FOUND_FOR_EACH, MOST_ECHOES - nus.size)
-        new = grid_nus[_strongest(grid_nus, statistic, np.abs(alphas) ** 2 * power, most, _CLEAR / n_rx)]
+        new = grid_nus[_strongest(grid_nus, statistic, squared_modulus(alphas) * power, most, _CLEAR / n_rx)]
         if new.size == 0:
             break
         for _ in range(_MEASURED):
@@ -148,11 +151,11 @@ def power_beside(echoes: Echoes, u: Complexes, a: Complexes) -> Floats:
 
     u, a : (n, n_tx) and (n, n_rx), both halves of the signatures
     """
-    gram = (echoes.u.conj() @ echoes.u.T) * (echoes.a.conj() @ echoes.a.T)
-    g = (echoes.u.conj() @ u.T) * (echoes.a.conj() @ a.T)
-    power = np.sum(np.abs(u) ** 2, axis=1) * np.sum(np.abs(a) ** 2, axis=1)
-    ridge = np.diag(_RIDGE * np.abs(np.diag(gram)) + _TINY)
-    taken = np.sum((g.conj() * np.linalg.solve(gram + ridge, g)).real, axis=0)
+    gram = times(product(echoes.u.conj(), echoes.u.T), product(echoes.a.conj(), echoes.a.T))
+    g = times(product(echoes.u.conj(), u.T), product(echoes.a.conj(), a.T))
+    power = np.sum(squared_modulus(u), axis=1) * np.sum(squared_modulus(a), axis=1)
+    ridge = np.diag(_RIDGE * modulus(np.diag(gram)) + _TINY)
+    taken = np.sum(times(g.conj(), solve(gram + ridge, g)).real, axis=0)
     return np.asarray(np.maximum(power - taken, 0.0))
 
 
@@ -173,7 +176,7 @@ def as_chi_square(statistic: Floats, dof: Floats) -> Floats:
     dof : (n,) k - 1, as F has 2 and 2 (k - 1) degrees of freedom; 0: it has this distribution
     """
     twice = 2.0 * np.where(dof > 0.0, dof, 1.0)
-    return np.where(dof > 0.0, twice * np.log1p(statistic / twice), statistic)
+    return np.where(dof > 0.0, twice * log1p(statistic / twice), statistic)
 
 
 def row_tests(z: Complexes, u: Complexes, n_rx: int) -> tuple[Complexes, Floats, Floats, Floats]:
@@ -210,7 +213,7 @@ def _row_tests(z: Complexes, u: Complexes, n_rx: int) -> tuple[Complexes, Floats
 def _measured(y: Complexes, root: Root, nu: float, n_rx: int) -> float:
     """Direction of the echo near nu."""
     u, a = signature(root, nu, n_rx)
-    if np.sum(np.abs(u)) == 0.0:
+    if np.sum(modulus(u)) == 0.0:
         return nu
     nu += off_axis(ratio(y, u, a), n_rx)
     return float(nu - np.floor(nu + 0.5))  # -0.5 and 0.5 are one direction
@@ -238,7 +241,7 @@ def _relaxed(y: Complexes, root: Root, nus: Floats, n_rx: int, sweeps: int) -> F
             _add(left, alphas[j], u[j], a[j])
             nus[j] = _measured(left, root, nus[j], n_rx)
             u[j], a[j] = signature(root, nus[j], n_rx)
-            power = np.sum(np.abs(u[j]) ** 2) * n_rx
+            power = np.sum(squared_modulus(u[j])) * n_rx
             alphas[j] = np.sum(np.conj(a[j]) * beamformed(left, u[j], n_rx)) / power if power > 0.0 else 0j
             _add(left, -alphas[j], u[j], a[j])
     is_kept = np.ones(nus.size, np.bool_)
@@ -277,7 +280,7 @@ def _solved(y: Complexes, u: Complexes, a: Complexes) -> tuple[Complexes, Comple
         right[j, 0] = np.sum(np.conj(a[j]) * beamformed(y, u[j], n_rx))
         for k in range(m):
             gram[j, k] = np.sum(np.conj(u[j]) * u[k]) * np.sum(np.conj(a[j]) * a[k])
-        gram[j, j] += _RIDGE * abs(gram[j, j]) + _TINY
+        gram[j, j] += _RIDGE * modulus(gram[j, j]) + _TINY
     for j in range(m):
         for k in range(j + 1, m):
             factor = gram[k, j] / gram[j, j]
@@ -298,7 +301,7 @@ def _fitted(
     n_tx, n_rx, m = own_u.size, own_a.size, other_u.shape[0] + 1
     u, a = np.empty((m, n_tx), np.complex128), np.empty((m, n_rx), np.complex128)
     u[0], a[0], u[1:], a[1:] = own_u, own_a, other_u, other_a
-    if np.sum(np.abs(own_u)) == 0.0:
+    if np.sum(modulus(own_u)) == 0.0:
         return 0j, 0.0, 0.0, 0.0
     alphas, c = _solved(y, u, a)
     padded = np.zeros(lags + y.size, np.complex128)

@@ -15,9 +15,10 @@ from math import erf, erfc, exp, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy.special import ndtri
 
+from cogradar.shared.numerics.elementwise import hypot, ndtri, power
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import cholesky, dot, product, solve
 from cogradar.shared.scenario.limits import MIXTURE_STATES
 from cogradar.shared.signal.response import FAR_KM
 from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, in_lobes, likelihood_of
@@ -32,7 +33,7 @@ _LEAST_R = 1e-3  # km
 _TINY = 1e-300
 _NEGLIGIBLE = 1e-6  # probability that a belief was wrong, below which it is left as it is
 _LEAST_IN_CELL = 1e-12  # probability of a range cell below which a difference of two has lost its digits
-_STEPS = 1.0 / 1.1673039782614187 ** np.arange(1, 5)  # of an additive recurrence in four dimensions (Roberts 2018)
+_STEPS = 1.0 / power(1.1673039782614187, np.arange(1, 5))  # of an additive recurrence in four dimensions (Roberts 2018)
 
 
 @cache
@@ -40,8 +41,8 @@ def _normal_points(n: int) -> Floats:
     """Points (n, 4) that are spread as N(0, I), with exactly its mean and covariance."""
     points = ndtri((0.5 + np.arange(1, n + 1)[:, np.newaxis] * _STEPS) % 1.0)
     points -= points.mean(axis=0)
-    lower = np.linalg.cholesky(points.T @ points / n)
-    return np.asarray(np.linalg.solve(lower, points.T).T)
+    lower = cholesky(product(points.T, points) / n)
+    return np.ascontiguousarray(solve(lower, points.T).T)
 
 
 class _Modes(NamedTuple):
@@ -170,10 +171,19 @@ def _in_front(nu: float, sigma: float) -> float:
 def _direction(mean: Floats) -> tuple[float, float, Floats]:
     """Direction nu of a mean, (5,), its range, and the gradient H of nu, (5,)."""
     x, y = mean[0], mean[2]
-    range_km = max(np.hypot(x, y), _LEAST_R)
+    range_km = max(hypot(x, y), _LEAST_R)
     by = np.zeros(DIM)
     by[0], by[2] = -0.5 * x * y / range_km**3, 0.5 * x * x / range_km**3
     return 0.5 * y / range_km, range_km, by
+
+
+@kernel
+def _times(matrix: Floats, vector: Floats) -> Floats:
+    """Product of a matrix and a vector, (n, n) and (n,)."""
+    found = np.empty_like(vector)
+    for i in range(vector.size):
+        found[i] = dot(matrix[i], vector)
+    return found
 
 
 @kernel
@@ -223,8 +233,8 @@ def _missed(
         if weights[j] == 0.0:
             continue
         _, _, by = _direction(means[j])
-        by_p = spread[j] @ by
-        variance = by @ by_p
+        by_p = _times(spread[j], by)
+        variance = dot(by, by_p)
         if variance <= 0.0:
             continue
         sigma = np.sqrt(variance)
@@ -266,11 +276,11 @@ def _cut_to_cell(mean: Floats, covariance: Floats, cell: Floats) -> float:
 
     Loops and no expressions of arrays, which take the compiler ten times as long.
     """
-    range_km = max(np.hypot(mean[0], mean[2]), _LEAST_R)
+    range_km = max(hypot(mean[0], mean[2]), _LEAST_R)
     by = np.zeros(DIM)
     by[0], by[2] = mean[0] / range_km, mean[2] / range_km
-    by_p = covariance @ by
-    sigma = sqrt(max(float(by @ by_p), 1e-12))
+    by_p = _times(covariance, by)
+    sigma = sqrt(max(dot(by, by_p), 1e-12))
     low, high = (cell[0] - range_km) / sigma, (cell[1] - range_km) / sigma
     near, far = (low, high) if low + high > 0.0 else (-high, -low)  # mirrored, so that no digits are lost
     inside = 0.5 * (erfc(near / sqrt(2.0)) - erfc(far / sqrt(2.0)))
@@ -328,8 +338,8 @@ def _found(weights: Floats, means: Floats, covariances: Floats, measured: Floats
         if weights[j] == 0.0:
             continue
         nu, _, by = _direction(means[j])
-        by_p = covariances[j] @ by
-        variance = by @ by_p + nu_sigma * nu_sigma
+        by_p = _times(covariances[j], by)
+        variance = dot(by, by_p) + nu_sigma * nu_sigma
         off = nu_hat - nu
         off -= round(off)  # -0.5 and 0.5 are one direction
         density = exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)

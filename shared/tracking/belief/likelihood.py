@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import inlined
 from cogradar.shared.signal.angle import apart
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
@@ -101,7 +102,7 @@ def found_look(
 
 def shares_looked_at(looks: Looks, particles: Floats) -> Floats:
     """Share of a belief, (n, 4), that each look would most probably find, (c,)."""
-    range_km = np.hypot(particles[:, 0], particles[:, 2])
+    range_km = hypot(particles[:, 0], particles[:, 2])
     is_tested = (range_km >= looks.low_km) & (range_km < looks.high_km)
     return looks.response.shares(looks.nus, spatial_frequency(particles), is_tested)
 

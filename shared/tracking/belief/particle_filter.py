@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import hypot, power
+from cogradar.shared.numerics.linear import inner, product
 from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, likelihood_of, of_any_amplitude
 from cogradar.shared.tracking.belief.rejection import accepted, sample_by_rejection
 from cogradar.shared.tracking.belief.resampling import (
@@ -198,8 +200,8 @@ def _stage(weights: NDArray[np.float64], n: int) -> float:
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        part = weights**middle
-        low, high = (middle, high) if part.sum() ** 2 >= STAGE_ESS_FRACTION * n * (part @ part) else (low, middle)
+        part = power(weights, middle)
+        low, high = (middle, high) if part.sum() ** 2 >= STAGE_ESS_FRACTION * n * inner(part, part) else (low, middle)
     return low
 
 
@@ -275,8 +277,8 @@ def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) 
     """
     n = particles.shape[0]
     _, factor = moments(Weighted(particles, np.ones(n), float(n), float(n), is_uniform=True))
-    widened = particles + rng.standard_normal((n, DIM)) @ factor.T
-    width = 2.0 / (n_bin - 1) * np.hypot(particles[:, 0], particles[:, 2])
+    widened = particles + product(rng.standard_normal((n, DIM)), factor.T)
+    width = 2.0 / (n_bin - 1) * hypot(particles[:, 0], particles[:, 2])
     widened[:, 0::2] += width[:, None] * rng.standard_normal((n, 2))
     np.maximum(widened[:, 0], 0.0, out=widened[:, 0])
-    return widened
+    return np.asarray(widened)

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.elementwise import power
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.linear import inner
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.tracking.belief.likelihood import Likelihood, in_lobes
@@ -34,8 +36,8 @@ class Weighted(NamedTuple):
 
 def tempered(weighted: Weighted, exponent: float) -> Weighted:
     """The same states with weights to this power in 0 .. 1; what is impossible stays so."""
-    weights = np.where(weighted.weights > 0.0, weighted.weights**exponent, 0.0)
-    total, total_sq = float(weights.sum()), float(weights @ weights)
+    weights = np.where(weighted.weights > 0.0, power(weighted.weights, exponent), 0.0)
+    total, total_sq = float(weights.sum()), inner(weights, weights)
     return Weighted(weighted.states, weights, total, total_sq, weighted.is_uniform)
 
 

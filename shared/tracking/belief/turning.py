@@ -11,6 +11,7 @@ probable it is that the target came from each.
 
 import numpy as np
 
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.tracking.motion import MODES, STRAIGHT, TURN
 from cogradar.shared.tracking.sensor import Floats
@@ -50,7 +51,7 @@ def factor(covariance: Floats) -> Floats:
 def turned_state(state: Floats, dt: float) -> Floats:
     """State dt seconds later in a coordinated turn at its acceleration a, (5,) -> (5,)."""
     x, vx, y, vy, across = state
-    angle = across / max(np.hypot(vx, vy), _SLOWEST) * dt
+    angle = across / max(hypot(vx, vy), _SLOWEST) * dt
     if abs(angle) < 1e-4:
         ahead, aside = 1.0 - angle * angle / 6.0, 0.5 * angle
     else:
@@ -79,7 +80,7 @@ def _moved(mean: Floats, covariance: Floats, dt: float, mode: int, sigma_s: floa
         for a in range(DIM):
             for b in range(DIM):
                 spread[a, b] += off[a] * off[b] / 6.0
-    speed = max(np.hypot(moved[1], moved[3]), 1e-3)
+    speed = max(hypot(moved[1], moved[3]), 1e-3)
     along = np.array([moved[1], moved[3]]) / speed
     # Over a dwell, the effect on the velocity of what is independent from second to second grows with sqrt(dt).
     any_sq = sigma_s * sigma_s if mode == STRAIGHT else _ANY[mode] ** 2 / dt

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 from typer.testing import CliRunner
 
-from cogradar.services.bench import verify
+from cogradar.services.bench import golden, verify
 from cogradar.services.bench.verify import Check
 from cogradar.services.cli import app as cli
 from cogradar.shared.power.max_min import Allocation, allocate_orthogonal
@@ -192,3 +192,12 @@ def test_exit_code_tells_whether_all_passed(
         }  # fmt: skip
     else:
         assert ("FAIL" in done.stdout) == (code == 1)
+
+
+@pytest.mark.parametrize(("measured", "says"), [("a1", "as everywhere"), ("b2", "this machine computes otherwise")])
+def test_a_machine_that_plays_another_run_is_found(measured: str, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verify, "verify", lambda _: [])
+    monkeypatch.setattr(golden, "digest", lambda: golden.Digest("a1", measured))
+    done = CliRunner().invoke(cli.app, ["verify"])
+    assert done.exit_code == int(measured != "a1")
+    assert says in done.stdout
