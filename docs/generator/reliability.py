@@ -86,6 +86,13 @@ PROOFS = (
         f"{PYTEST}tests/services/test_identity.py tests/services/runs/test_upgrade.py",
     ),
     Proof(
+        "frozen",
+        "A recorder, emulator or allocator that was frozen while another one took over ends itself; nothing that was"
+        " acknowledged is lost.",
+        "real processes, stopped and continued during a run of 600 dwells",
+        f"{PYTEST}tests/services/test_deposed.py",
+    ),
+    Proof(
         "kills-of-a-writer",
         "A recorder and an export that are killed at any moment go on right.",
         "200 kills of each",

@@ -25,6 +25,8 @@ from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.meter import Durations
 
+KEPT_LEADERS = 100  # of which the file has the epoch and the name
+
 
 class _Leader(NamedTuple):
     epoch: int
@@ -81,6 +83,8 @@ class Database:
         self._begin()
         self.epoch = self.epoch or max(self._newest().epoch + 1, self._now_us())
         self._execute("INSERT OR IGNORE INTO leader VALUES (?, ?)", (self.epoch, self._owner))
+        last = "SELECT epoch FROM leader ORDER BY epoch DESC LIMIT ?"
+        self._execute(f"DELETE FROM leader WHERE epoch NOT IN ({last})", (KEPT_LEADERS,))
 
     def check_leads(self) -> None:
         """Raises Deposed, with the transaction undone, if a recorder that began later leads the runs of this file."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.errors import BadInput, Deposed
-from cogradar.services.recorder.file.database import Database
+from cogradar.services.recorder.file.database import KEPT_LEADERS, Database
 from cogradar.services.recorder.file.lock import JournalLock
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
@@ -118,6 +118,16 @@ def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(path: str, mon
     assert found == [1000, 5000, 5001, 5002]
     monkeypatch.setattr(Database, "_now_us", lambda _: 9000)
     assert _recorder(f"{path}.old")._journal.epoch == 9000
+
+
+def test_of_many_recorders_the_last_ones_are_kept(path: str) -> None:
+    epochs = []
+    for _ in range(KEPT_LEADERS + 5):
+        journal = Journal(path)
+        journal.lead()
+        epochs.append(journal.epoch)
+        journal.close()
+    assert [row[0] for row in Journal(path).rows("SELECT epoch FROM leader")] == epochs[5:] == sorted(epochs[5:])
 
 
 def test_an_epoch_that_nobody_can_follow_is_refused(path: str) -> None:
