@@ -54,7 +54,7 @@ def in_plane(states: ArrayLike, heights_km: ArrayLike) -> NDArray[np.float64]:
     returns    : (..., 4), x replaced by hypot(x, z); velocities as they are
     """
     found = np.array(states, dtype=np.float64)
-    found[..., 0] = hypot(found[..., 0], heights_km)
+    found[..., 0] = hypot(found[..., 0], np.asarray(heights_km, dtype=np.float64))
     return found
 
 
