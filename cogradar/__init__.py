@@ -3,8 +3,11 @@
     import cogradar
 
     result = cogradar.run("paper", strategy="power-aware", seed=1)    # plays it here
-    result.truth, result.estimates       # (dwells, targets, 4) of [x, vx, y, vy], km and km/s
+    result.true_states, result.estimates       # (dwells, targets, 4) of [x, vx, y, vy], km and km/s
     result.p_d, result.position_rmse_km  # (targets,)
+    result.detections().to_pandas()      # and tracks(), truth(), waveforms(): tables, a row per thing and dwell
+    result.plot.scope(10)                # pictures: scope, track, beampattern
+    for dwell in cogradar.play("paper", set={"radar.array.n_tx": 32}): ...    # the same, dwell by dwell
     runs = cogradar.open("runs.db")      # a store; cogradar.connect("tcp/HOST:7447"): services that are up
     runs.summary(run="all"), runs.tracks(target=2, dwells="1:20")     # rows, as `cogradar query --json` has them
     runs.result()                        # the newest run as arrays
@@ -26,7 +29,10 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 if TYPE_CHECKING:
     from cogradar.api import BadInput as BadInput
     from cogradar.api import CogradarError as CogradarError
+    from cogradar.api import Dwell as Dwell
     from cogradar.api import NoMetrics as NoMetrics
+    from cogradar.api import Player as Player
+    from cogradar.api import Records as Records
     from cogradar.api import Result as Result
     from cogradar.api import RunFailed as RunFailed
     from cogradar.api import Runs as Runs
@@ -35,11 +41,12 @@ if TYPE_CHECKING:
     from cogradar.api import connect as connect
     from cogradar.api import load as load
     from cogradar.api import open as open  # noqa: A004 - read as cogradar.open
+    from cogradar.api import play as play
     from cogradar.api import run as run
 
 # What help(cogradar) lists; of errors, Strategy and Scenario it would show mostly what Python and pydantic put there.
-__all__ = ["Result", "Runs", "connect", "load", "open", "run"]
-_OTHERS = ("BadInput", "CogradarError", "NoMetrics", "RunFailed", "Scenario", "Strategy")
+__all__ = ["Player", "Result", "Runs", "connect", "load", "open", "play", "run"]
+_OTHERS = ("BadInput", "CogradarError", "Dwell", "NoMetrics", "Records", "RunFailed", "Scenario", "Strategy")
 
 
 def __getattr__(name: str) -> Any:

@@ -2,34 +2,25 @@
 from 1, as in the paper.
 """
 
-import logging
-import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+from typing import Any, Self, TypedDict, Unpack
 
-from pydantic import ValidationError
-
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.running import Dwell, Player, load, play, run
+from cogradar.services.analysis.arrays.records import Records
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.errors import BadInput, Failure, NoMetrics, RunFailed
-from cogradar.shared.protocol.messages import RunStart
-from cogradar.shared.scenario.faults import explain
-from cogradar.shared.scenario.files import ScenarioError, parse
-from cogradar.shared.scenario.files import load as load_file
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, Kind
-from cogradar.shared.scenario.plugins.names import PluginError
-from cogradar.shared.scenario.plugins.resolver import named
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
-
-if TYPE_CHECKING:
-    from cogradar.plugins import BinRule, Disturbance, PowerRule
 
 __all__ = [
     "BadInput",
     "CogradarError",
+    "Dwell",
     "NoMetrics",
+    "Player",
+    "Records",
     "Result",
     "RunFailed",
     "Runs",
@@ -38,11 +29,11 @@ __all__ = [
     "connect",
     "load",
     "open",
+    "play",
     "run",
 ]
 
 CogradarError = Failure
-log = logging.getLogger("cogradar")
 
 Rows = list[dict[str, Any]]
 
@@ -152,100 +143,6 @@ class Runs:
             case other:
                 raise BadInput(f"dwells = {other!r}: must be (first, last) or 'first:last', either may be empty")
         return self._ask(metric, parameters)
-
-
-def load(name_or_path: str | Path, settings: Sequence[str] = ()) -> Scenario:
-    """A scenario: the name of a built-in one, or the path of a TOML file. Raises BadInput if it cannot be used.
-
-    settings : of `--set`: "radar.array.n_tx=32", "world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
-    """
-    try:
-        return load_file(str(name_or_path), settings)
-    except ScenarioError as error:
-        raise BadInput(str(error)) from None
-
-
-def run(
-    scenario: Scenario | str | Path,
-    strategy: "str | PowerRule" = Strategy.POWER_AWARE,
-    seed: int = 1,
-    dwells: int | None = None,
-    planners: int = 1,
-    progress: Callable[[int, int], object] | None = None,
-    *,
-    rule: "str | BinRule | None" = None,
-    objective: "str | PowerRule | None" = None,
-    disturbance: "str | Disturbance | None" = None,
-) -> Result:
-    """Play one run in this process, as `cogradar run --in-process` does: the same digest for the same arguments.
-
-    scenario : a Scenario, or what `load` takes
-    strategy : "orthogonal", "uniform" or "power-aware", or your own: "PATH.py:NAME", or an object (`cogradar.plugins`)
-    seed     : of all that is random, 0 .. 2^63 - 1
-    dwells   : tracking dwells, the scenario's number if left out
-    planners : how many share the tracks; they take turns, and the result is the same for any number
-    progress : called some four times a second with the dwells done and those to do
-    rule, objective, disturbance : in place of the scenario's, as names or as objects of your own
-
-    Raises BadInput for arguments that make no sense, RunFailed if the run does not reach its end. The first call after
-    an installation compiles for about a minute, and logs that.
-    """
-    from cogradar.services import kernels
-    from cogradar.services.analysis.stored_run import StoredRun
-    from cogradar.services.metrics.answers import answer
-    from cogradar.services.metrics.store import in_memory
-    from cogradar.services.runs import in_process
-    from cogradar.services.runs.run import Progress, strategy_of
-
-    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    loaded = _with_own(loaded, {RULE: rule, OBJECTIVE: objective, DISTURBANCE: disturbance})
-    seed, planners = _whole("seed", seed), _whole("planners", planners)
-    if planners < 1:
-        raise BadInput(f"planners = {planners}: must be at least 1")
-    try:
-        start = RunStart.of(loaded, strategy_of(strategy), seed, None if dwells is None else _whole("dwells", dwells))
-    except ValidationError as error:
-        raise BadInput(explain(error, RunStart)) from None
-    kernels.compile_all(log.warning)
-
-    def report(now: Progress) -> None:
-        if progress is not None:
-            progress(now.t, now.dwells)
-
-    store = in_memory()
-    in_process.play(start, planners=planners, store=store, report=report)
-    return Result(StoredRun(partial(answer, store), start.run))
-
-
-def _with_own(scenario: Scenario, things: Mapping[Kind, Any]) -> Scenario:
-    """A scenario with other things, by name or as objects. Raises BadInput."""
-    document = scenario.model_dump()
-    for kind, thing in things.items():
-        *tables, key = kind.stands.split(".")
-        table: Any = document
-        for part in tables:
-            table = table[part]
-            if table is None and thing is not None:
-                raise BadInput(f"{kind.name}: {scenario.name} has no [world]")
-        if thing is not None:
-            try:
-                table[key] = named(kind, thing, Path())
-            except PluginError as error:
-                raise BadInput(f"{kind.name} = {thing!r}: {error}") from None
-    if all(thing is None for thing in things.values()):
-        return scenario
-    try:
-        return parse(document, scenario.name)
-    except ScenarioError as error:
-        raise BadInput(str(error)) from None
-
-
-def _whole(name: str, value: object) -> int:
-    """An argument that must be a whole number, of Python or of NumPy. Raises BadInput."""
-    try:
-        return operator.index(value)  # type: ignore[arg-type] # what is no number is what it finds out
-    except TypeError:
-        raise BadInput(f"{name} = {value!r}: must be a whole number") from None
 
 
 def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:

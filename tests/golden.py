@@ -130,7 +130,7 @@ def played(name: str) -> dict[str, str]:
         return {str(seed): cogradar.run(name, seed=seed, dwells=SHIPPED[name]).digest for seed in SEEDS}
     scenario, strategy, dwells, settings = VARIANTS[name]
     loaded = cogradar.load(scenario, [*_LIGHT, *settings])
-    return {str(SEED): cogradar.run(loaded, strategy, SEED, dwells).digest}
+    return {str(SEED): cogradar.run(loaded, strategy=strategy, seed=SEED, dwells=dwells).digest}
 
 
 def main() -> int:

@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.analysis.run_arrays import Result
-from cogradar.services.analysis.track_arrays import Tracks
+from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.arrays.tracks import Tracks
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.place import Place
 from cogradar.shared.scenario.scenario import SiteSection
@@ -79,10 +79,9 @@ def table(result: Result) -> Table:
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
     is_unknown, nan = result.scenario.radar.is_unknown, float("nan")
-    tracks = result.tracks if is_unknown else NO_TRACKS
+    tracks = result.by_track if is_unknown else NO_TRACKS
     rows = _Rows(result, tracks)
-    of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
-    columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in of_run.items()}
+    columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in _of_run(result).items()}
     columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
     columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
     if result.scenario.site is not None and (begin_s := result.scenario.site.begin_s) is not None:
@@ -94,11 +93,11 @@ def table(result: Result) -> Table:
         columns |= {"confirmed": rows.of(nothing, 0, tracks.confirmed).astype(np.int64)}
         columns |= {"existence": rows.of(nothing * nan, nan, tracks.existence)}
     if result.has_truth:
-        columns |= _place(rows.of(result.truth, nan), "", result.scenario.site)
+        columns |= _place(rows.of(result.true_states, nan), "", result.scenario.site)
         columns |= {"true_bin": rows.of(result.true_bins, -1), "snr_db": rows.of(result.snr_db, nan)}
     columns |= _place(rows.of(result.estimates, nan, tracks.estimates), "_hat", result.scenario.site)
     columns |= {"bin": rows.of(result.bins, -1), "best_bin": rows.of(result.best_bins, -1)}
-    columns |= {"detected": rows.of(result.detections, 0, tracks.detections)}
+    columns |= {"detected": rows.of(result.detected, 0, tracks.detections)}
     if result.has_scans:
         measured = result.measured
         found = {"statistic": measured.statistic, "sigma_hat": measured.sigma_hat}
@@ -124,27 +123,18 @@ def table(result: Result) -> Table:
 
 
 def detections(result: Result) -> Table:
-    """A row per detection, in the order of dwell and direction: every tested cell over its limit (`DetectedCells`).
+    """A row per detection: what the run is, and the columns of `Result.detections`; of the amplitude two.
 
-    `t` is 0 during an acquisition. `p_fa` is the probability that a cell of disturbance alone is over the limit.
-    `nu_measured` and its sigma are NaN if the direction of the echo was not measured, `range_km` and `range_cell_km`
-    without range cells. `strongest` is 1 for one row of each echo. `target` is the one in the cell, 0: none; left out
-    without truth. Raises BadInput if no scan is stored.
+    Raises BadInput if no scan is stored.
     """
-    found, radar = result.detected_cells, result.scenario.radar
-    of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
-    columns: Table = {name: np.full(found.k.size, text) for name, text in of_run.items()}
-    columns |= {"seed": np.full(found.k.size, result.seed, dtype=np.int64), "k": found.k, "t": found.t}
-    columns |= {"t_s": found.t * radar.motion.dt_s, "nu": found.nu}
-    columns |= {"angle_deg": np.degrees(np.arcsin(np.clip(2.0 * found.nu, -1.0, 1.0)))}
-    columns |= {"nu_measured": found.nu_measured, "nu_measured_sigma": found.nu_measured_sigma}
-    width = np.where(np.isnan(found.range_km), np.nan, radar.receiver.range_cell_km)
-    columns |= {"range_km": found.range_km, "range_cell_km": width}
-    columns |= {"statistic": found.statistic, "limit": found.limit, "p_fa": found.p_fa}
-    columns |= {"alpha_hat_real": found.alpha_hat.real, "alpha_hat_imag": found.alpha_hat.imag}
-    columns |= {"sigma_hat": found.sigma_hat, "signature_power": found.signature_power}
-    columns |= {"strongest": found.strongest}
-    return columns | ({"target": found.target} if result.has_truth else {})
+    found = result.detections()
+    columns: Table = {name: np.full(found.size, text) for name, text in _of_run(result).items()}
+    columns |= {"seed": np.full(found.size, result.seed, dtype=np.int64)}
+    return columns | found.columns()
+
+
+def _of_run(result: Result) -> dict[str, str]:
+    return {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
 
 
 TABLES: dict[str, Callable[[Result], Table]] = {"tracks": table, "detections": detections}

@@ -34,7 +34,7 @@ from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, RunFailed, check_stop
 
 if TYPE_CHECKING:
-    from cogradar.services.analysis.run_arrays import Result
+    from cogradar.services.analysis.arrays.result import Result
 
 Rows = Sequence[dict[str, Any]]
 
@@ -177,7 +177,7 @@ def export(
     or read_parquet; in MATLAB and Octave it is load.
     """
     from cogradar.services.analysis import export as exporting
-    from cogradar.services.analysis.run_arrays import Result
+    from cogradar.services.analysis.arrays.result import Result
     from cogradar.services.analysis.stored_run import StoredRun
     from cogradar.services.metrics import client as asking
 
@@ -192,7 +192,7 @@ def export(
         exporting.write(result, Path(file), form, what, force=force)
         written = f"{result.t.size} dwells of {result.scenario.n_target} targets; {UNITS}"
         if what == "detections":
-            written = f"{result.detected_cells.k.size} detections in {result.t.size} dwells; ranges in km"
+            written = f"{result.detections().size} detections in {result.t.size} dwells; ranges in km"
         out.print(f"{file}: {result.run}, {written}", soft_wrap=True)
 
 

@@ -2,8 +2,9 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 
 from cogradar.services.errors import Interrupted, RunFailed, check_stop
@@ -13,13 +14,25 @@ from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.runs.oracle import Foresight, KnowingPlanner
 from cogradar.services.runs.run import Progress, Result, ending, loaded, progress, result
 from cogradar.services.topology import TOPOLOGY, Start
-from cogradar.shared.protocol.messages import RunCancel, RunStart
+from cogradar.shared.protocol.events import Event
+from cogradar.shared.protocol.messages import Plan, RunCancel, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.bus import Bus, LocalNetwork
 from cogradar.shared.wire.runner import Core, step
 
 REPORT_EVERY_S = 0.25
+
+
+@dataclass
+class Dwell:
+    """All that was said of one dwell."""
+
+    k: int
+    scan: Scan
+    sent: Waveform | None  # what was radiated; None: before the first waveform
+    truth: Truth | None = None
+    plans: list[Plan] = field(default_factory=list)
 
 
 def play(
@@ -31,10 +44,31 @@ def play(
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
 ) -> Result:
-    """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
+    """Play one run to its end and score it; arguments and errors are those of `steps`."""
+    playing = steps(start, planners=planners, store=store, report=report, stop=stop, front_end=front_end)
+    while True:
+        try:
+            next(playing)
+        except StopIteration as ended:
+            result: Result = ended.value
+            return result
 
-    `front_end` is a name of `cogradar.services.front_ends`. Rules of looking that know the truth can be played here
-    only.
+
+def steps(
+    start: RunStart,
+    *,
+    planners: int = 1,
+    store: Store | None = None,
+    report: Callable[[Progress], None] | None = None,
+    stop: threading.Event | None = None,
+    front_end: str = Start.front_end,
+) -> Generator[Dwell, None, Result]:
+    """Play one run dwell by dwell, the acquisition included, and score it at its end; closed earlier, it is cancelled.
+
+    store     : where its messages go, and the scores are read
+    front_end : a name of `cogradar.services.front_ends`
+
+    Rules of looking that know the truth can be played here only.
 
     Raises BadInput if it has no end, RunFailed if it does not reach it, Interrupted if `stop` is set meanwhile.
     """
@@ -55,6 +89,7 @@ def play(
                     core = KnowingPlanner(core, foresight)
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
+    (recorded,) = (bus.queue for _, bus in endpoints if bus.role is Role.RECORDER)  # which gets all that is said
 
     def cancel() -> None:
         network.deliver(RunCancel(run=start.run))
@@ -63,8 +98,10 @@ def play(
                 _take_turn(core, bus, None)
 
     network.deliver(start)
+    dwells = _Dwells()
     with _ended_whatever_happens(store, cancel):
         while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
+            yield from dwells.complete(recorded)
             if report is not None and time.monotonic() >= next_report:
                 if (now := progress(ask, start)) is not None:
                     report(now)
@@ -76,12 +113,35 @@ def play(
     return done
 
 
+class _Dwells:
+    """Messages by the dwell that they are of, until the waveform that follows from it is there."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, Dwell] = {}
+        self._sent: Waveform | None = None
+
+    def complete(self, messages: Iterable[Event]) -> Iterator[Dwell]:
+        """Take what was said since the last time; the dwells of which nothing more will come."""
+        for message in messages:
+            match message:
+                case Scan(k=k):
+                    self._open[k] = Dwell(k, message, self._sent)
+                case Truth(k=k):
+                    self._open[k].truth = message
+                case Plan(k=k):
+                    self._open[k].plans.append(message)
+                case Waveform(k=k):
+                    self._sent = message
+                    if (done := self._open.pop(k, None)) is not None:
+                        yield done
+
+
 @contextmanager
 def _ended_whatever_happens(store: Store, cancel: Callable[[], None]) -> Iterator[None]:
     """The store does not say afterwards that its run goes on."""
     try:
         yield
-    except Interrupted:
+    except (Interrupted, GeneratorExit):
         cancel()
         raise
     except Exception:

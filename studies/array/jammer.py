@@ -21,7 +21,7 @@ def _row(noise: str, jnr_db: float | None) -> Row:
     scenario = cogradar.load(
         "paper", ["world.signal=array", f"radar.receiver.noise={noise}", f"world.jammers={jammers}"]
     )
-    result = cogradar.run(scenario, "orthogonal", SEED, DWELLS)
+    result = cogradar.run(scenario, strategy="orthogonal", seed=SEED, dwells=DWELLS)
     blind, over = result.sigma_hat == 0.0, result.statistics >= -2.0 * np.log(scenario.radar.detector.p_fa)
     own = np.zeros(blind.shape, np.bool_)
     for beside in (-1, 0, 1):

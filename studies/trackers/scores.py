@@ -45,7 +45,7 @@ def compare(scenario: cogradar.Scenario, seed: int, dwells: int | None = None) -
 
 
 def _own(result: cogradar.Result) -> Iterable[Followed]:
-    tracks = result.tracks
+    tracks = result.by_track
     for i in range(result.t.size):
         at = np.flatnonzero(tracks.alive[i] & tracks.confirmed[i])
         yield Followed(tracks.numbers[at].tolist(), tracks.estimates[i, at], tracks.covariance[i, at])
@@ -54,7 +54,7 @@ def _own(result: cogradar.Result) -> Iterable[Followed]:
 def score(result: cogradar.Result, followed: Iterable[Followed]) -> Score:
     """Score of the tracks of each dwell, of targets that were visible by then."""
     picture, total = AirPicture(), [0.0] * len(Totals._fields)
-    truth, accelerations = result.truth, result.column("acceleration_g")
+    truth, accelerations = result.true_states, result.column("acceleration_g")
     counting = np.maximum.accumulate(result.column("visible"), axis=0)
     errors = list[tuple[float, float, float, float]]()  # km, km/s, NEES, g
     for i, (t, tracks) in enumerate(zip(result.t.tolist(), followed, strict=True)):

@@ -39,7 +39,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_arrays_have_the_shapes_and_kinds_that_are_documented(result: cogradar.Result) -> None:
-    arrays = [result.truth, result.estimates, result.detections, result.true_bins, result.bins, result.shares]
+    arrays = [result.true_states, result.estimates, result.detected, result.true_bins, result.bins, result.shares]
     found = [(array.shape, array.dtype.name) for array in [*arrays, result.snr_db]]
     states, flat = (DWELLS, TARGETS, 4), (DWELLS, TARGETS)
     kinds = ["float64", "float64", "bool", "int64", "int64", "float64", "float64"]
@@ -48,12 +48,12 @@ def test_arrays_have_the_shapes_and_kinds_that_are_documented(result: cogradar.R
 
 def test_truth_moves_as_the_scenario_says_and_estimates_are_near(result: cogradar.Result) -> None:
     starts = np.array([target.state for target in result.scenario.simulated.targets])
-    moved = result.truth[0] - starts
+    moved = result.true_states[0] - starts
     assert np.abs(moved[:, [0, 2]] - starts[:, [1, 3]]).max() < 0.1  # one dwell of one second
-    assert np.median(np.hypot(*(result.estimates - result.truth)[..., [0, 2]].T)) < 5.0  # km
+    assert np.median(np.hypot(*(result.estimates - result.true_states)[..., [0, 2]].T)) < 5.0  # km
     assert np.allclose(result.shares, 1.0 / TARGETS)  # uniform
     on_target = result.bins == result.true_bins
-    assert not result.detections[~on_target].any() or on_target.mean() > 0.5
+    assert not result.detected[~on_target].any() or on_target.mean() > 0.5
 
 
 def test_numbers_are_those_of_the_command_line(result: cogradar.Result) -> None:
@@ -85,7 +85,7 @@ def test_without_truth_there_is_nothing_to_compare_with(file: str) -> None:
     blind = cogradar.Runs(partial(answer, store)).result()
     assert not blind.has_truth
     assert np.array_equal(blind.estimates.shape, (DWELLS, TARGETS, 4))
-    for unknown in ("truth", "true_bins", "snr_db", "stale", "p_d", "p_d_interval", "position_rmse_km"):
+    for unknown in ("true_states", "true_bins", "snr_db", "stale", "p_d", "p_d_interval", "position_rmse_km"):
         with pytest.raises(cogradar.BadInput, match=f"{start.run}: there is no truth"):
             getattr(blind, unknown)
     store.close()

@@ -119,7 +119,7 @@ def test_a_run_over_zenoh_is_the_run_in_the_store(endpoint: str, file: str, tmp_
     """Arrays, and what is written of them."""
     here, there = cogradar.open(file), cogradar.connect(endpoint).result()
     stored = here.result()
-    for name in ("truth", "estimates", "covariance", "statistics", "alpha_hat", "factors", "shares", "bins", "t"):
+    for name in ("true_states", "estimates", "covariance", "statistics", "alpha_hat", "factors", "shares", "bins", "t"):
         assert np.array_equal(getattr(there, name), getattr(stored, name), equal_nan=True), name
     assert np.array_equal(there.particles(2, DWELLS), stored.particles(2, DWELLS))
     assert there.digest == stored.digest

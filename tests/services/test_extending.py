@@ -56,7 +56,7 @@ exec(head + "\\n    " + sys.argv[1] + "\\n)\\nPICTURE = (" + rest, columns.__dic
 
 from docs.generator import numbers
 from cogradar.services.analysis import export
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.recording import take

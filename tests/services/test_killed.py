@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.analysis import export
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store

@@ -1,6 +1,6 @@
 """A moving picture of a run: the half-plane before the radar, dwell by dwell, as an animated GIF."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.looks import FAINT, INK, STYLE, Look, target_looks
-from cogradar.services.analysis.run_arrays import Result
 from cogradar.services.errors import BadInput
 
 Floats = NDArray[np.float64]
@@ -40,8 +40,8 @@ class _Tracks(NamedTuple):
         if not result.scenario.radar.is_unknown:
             states = result.estimates
             known = np.ones(states.shape[:2], dtype=np.bool_)
-            return cls(list(range(1, states.shape[1] + 1)), states, known, result.detections)
-        tracks = result.tracks
+            return cls(list(range(1, states.shape[1] + 1)), states, known, result.detected)
+        tracks = result.by_track
         return cls(tracks.numbers.tolist(), tracks.estimates, tracks.confirmed, tracks.detections)
 
 
@@ -64,38 +64,48 @@ def write(
         figure = Figure(figsize=SIZE_INCHES, layout="tight")
         axes, writer = figure.add_subplot(), PillowWriter(fps=max(1, round(rate_hz)))
         with writer.saving(figure, str(file), DPI):
-            for n, title in enumerate(_frames(result, axes, chosen.tolist()), start=1):
-                axes.set_title(title, loc="left", color=INK)
+            scope = Scope(result, chosen.tolist())
+            for n, i in enumerate(chosen.tolist(), start=1):
+                axes.clear()
+                scope.draw(axes, i)
                 writer.grab_frame()
                 report(n)
     return int(chosen.size)
 
 
-def _frames(result: Result, axes: Axes, chosen: list[int]) -> Iterator[str]:
-    """Draw one dwell after the other; its title each."""
-    tracks = _Tracks.of(result)
-    truth = result.truth[..., [0, 2]] if result.has_truth else None
-    shown = [tracks.states[chosen][..., [0, 2]].reshape(-1, 2)]
-    shown += [truth[chosen].reshape(-1, 2)] if truth is not None else []
-    far = np.hypot(*np.concatenate(shown).T)
-    farthest_km = float(np.max(far, where=~np.isnan(far), initial=1.0))
-    rings_km = np.asarray(MaxNLocator(RINGS).tick_values(0.0, farthest_km))[1:]
-    looks = dict(zip(tracks.numbers, target_looks(len(tracks.numbers)), strict=True))
-    for i in chosen:
-        axes.clear()
-        _scope(axes, rings_km)
-        if truth is not None:
-            there = truth[i][~np.isnan(truth[i, :, 0])]
+class Scope:
+    """A run on a scope, dwell by dwell."""
+
+    def __init__(self, result: Result, shown: Sequence[int]) -> None:
+        """shown : rows of the dwells that are to be on it; range rings fit them all"""
+        self._result, self._tracks = result, _Tracks.of(result)
+        self._truth = result.true_states[..., [0, 2]] if result.has_truth else None
+        places = [self._tracks.states[shown][..., [0, 2]].reshape(-1, 2)]
+        places += [self._truth[shown].reshape(-1, 2)] if self._truth is not None else []
+        far = np.hypot(*np.concatenate(places).T)
+        farthest_km = float(np.max(far, where=~np.isnan(far), initial=1.0))
+        self._rings_km = np.asarray(MaxNLocator(RINGS).tick_values(0.0, farthest_km))[1:]
+        numbers = self._tracks.numbers
+        self._looks = dict(zip(numbers, target_looks(len(numbers)), strict=True))
+
+    def draw(self, axes: Axes, i: int) -> None:
+        """Draw the dwell in row i, with its title."""
+        tracks = self._tracks
+        _rings(axes, self._rings_km)
+        if self._truth is not None:
+            there = self._truth[i][~np.isnan(self._truth[i, :, 0])]
             axes.plot(there[:, 1], there[:, 0], "+", color=INK, markersize=9, markeredgewidth=0.8)
         for n, number in enumerate(tracks.numbers):
             if not np.isnan(tracks.states[i, n, 0]):
-                _track(axes, tracks, (i, n), looks[number])
+                _track(axes, tracks, (i, n), self._looks[number])
         alive = ~np.isnan(tracks.states[i, :, 0])
-        kind = "confirmed tracks" if result.scenario.radar.is_unknown else "tracks"
-        yield f"{result.scenario.name}, dwell {result.t[i]}: {int((alive & tracks.confirmed[i]).sum())} {kind}"
+        kind = "confirmed tracks" if self._result.scenario.radar.is_unknown else "tracks"
+        count = int((alive & tracks.confirmed[i]).sum())
+        title = f"{self._result.scenario.name}, dwell {self._result.t[i]}: {count} {kind}"
+        axes.set_title(title, loc="left", color=INK)
 
 
-def _scope(axes: Axes, rings_km: Floats) -> None:
+def _rings(axes: Axes, rings_km: Floats) -> None:
     """Range rings and angles; x points up, y to the right."""
     angles, far_km = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 181), float(rings_km[-1])
     for km in rings_km.tolist():

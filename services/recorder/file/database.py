@@ -3,6 +3,7 @@
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from cogradar.services.errors import BadInput, Deposed, Displaced, Failure, NoRoom
@@ -120,6 +121,15 @@ class Database:
         """Undo what was written since the last commit."""
         if self._db.in_transaction:
             self._execute("ROLLBACK")
+
+    def copy_to(self, path: str) -> None:
+        """Write all of it into a new file. Raises BadInput if there is one already, or it cannot be written."""
+        self.commit()
+        try:
+            Path(path).touch(exist_ok=False)
+            self._db.execute("VACUUM INTO ?", [path])
+        except (OSError, sqlite3.Error) as error:
+            raise BadInput(f"{path}: {getattr(error, 'strerror', None) or error}") from None
 
     def check_place(self) -> None:
         """Raises Displaced if its files are no longer where they were, or cannot be written."""

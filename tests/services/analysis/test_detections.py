@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cogradar.services.analysis import export
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput
@@ -87,16 +87,16 @@ def test_there_is_a_row_for_each_cell_over_its_limit(file: str, tmp_path: Path) 
     assert at == len(found) > DWELLS
     assert f"{at} detections in {DWELLS} dwells" in done.output.replace("\n", " ")
     of_targets = found[(found["target"] > 0) & (found["t"] > 0)].groupby(["t", "target"]).size()
-    assert len(of_targets) == result.detections.sum()  # whoever asked for the cell
+    assert len(of_targets) == result.detected.sum()  # whoever asked for the cell
 
 
 def test_the_strongest_rows_are_what_a_tracker_takes(file: str) -> None:
     result = _result(file)
-    found, rows = result.detected_cells, ScanRows.of(result.scenario.radar)
+    found, rows = result.detections(), ScanRows.of(result.scenario.radar)
     for k, scan in _messages(file, "scan").items():
         seen = rows.read(vars(scan))
         over = np.flatnonzero(seen.is_over())
-        assert over[found.strongest[found.k == k] == 1].tolist() == echoes(rows.response, seen, over).tolist()
+        assert over[found["strongest"][found["k"] == k] == 1].tolist() == echoes(rows.response, seen, over).tolist()
 
 
 @pytest.mark.parametrize("form", ["npz", "parquet", "mat", "json"])

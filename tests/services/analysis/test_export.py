@@ -16,7 +16,7 @@ from scipy.io import loadmat
 from typer.testing import CliRunner
 
 from cogradar.services.analysis import export
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput
@@ -110,7 +110,7 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert columns["target"].tolist() == DWELLS * [1, 2]
     assert columns["seed"].tolist() == DWELLS * TARGETS * [2**63 - 1]
     at = 5 * TARGETS + 1  # dwell 6, target 2
-    x, _, y, _ = result.truth[5, 1]
+    x, _, y, _ = result.true_states[5, 1]
     assert columns["range_km"][at] == pytest.approx(np.hypot(x, y))
     assert columns["angle_deg"][at] == pytest.approx(np.degrees(np.arctan2(y, x)))
     assert columns["nu"][at] == pytest.approx(0.5 * np.sin(np.arctan2(y, x)))
@@ -119,7 +119,7 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     amplitude = columns["alpha_hat_real"][at] + 1j * columns["alpha_hat_imag"][at]
     assert np.array_equal(amplitude, result.alpha_hat[5, cell], equal_nan=True)
     assert np.array_equal(columns["statistic"][at], result.statistics[5, cell], equal_nan=True)
-    assert columns["detected"].sum() == result.detections.sum()
+    assert columns["detected"].sum() == result.detected.sum()
     rows = answer(Store(Journal(file, read_only=True)), "tracks", {"run": result.run})
     assert columns["hit"].tolist() == [row["hit"] for row in rows]
     assert columns["in_bin"].tolist() == [int(row["best_bin"] == row["true_bin"]) for row in rows]

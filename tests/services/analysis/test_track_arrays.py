@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.figures import draw_all
 from cogradar.services.analysis.export import table
-from cogradar.services.analysis.run_arrays import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.display import run_caption
 from cogradar.services.metrics.answers import answer
@@ -54,7 +54,7 @@ def by_hand(store: Store) -> Result:
 
 
 def test_a_track_has_a_column_from_its_first_dwell_to_its_last(by_hand: Result) -> None:
-    tracks = by_hand.tracks
+    tracks = by_hand.by_track
     assert tracks.numbers.tolist() == [1, 2, 3]
     there = {n: by_hand.t[tracks.alive[:, n]].tolist() for n in range(3)}
     assert there == {0: list(range(2, DWELLS + 1)), 1: [4], 2: [7, 8, 9]}  # 5 and 10 are where the others end
@@ -83,15 +83,15 @@ def test_without_truth_there_are_tracks_alone(store: Store) -> None:
     rest = [message for message in sent() if not isinstance(message, RunStart | Truth)]
     result = _stored(store, [blind, *rest], "blind")
     assert (result.t.tolist(), result.estimates.shape) == (list(range(1, DWELLS + 1)), (DWELLS, 0, 4))
-    assert result.tracks.numbers.tolist() == [1, 2, 3]
-    assert not result.tracks.targets.any()
+    assert result.by_track.numbers.tolist() == [1, 2, 3]
+    assert not result.by_track.targets.any()
     found = table(result)
     assert (len(found["t"]), set(found["track"].tolist()), "x" in found) == (11 + 1 + 3, {1, 2, 3}, False)
 
 
 def test_beliefs_are_those_of_the_planners(store: Store) -> None:
     result = _stored(store, play(start_of(PLAYED)), "played")
-    tracks = result.tracks
+    tracks = result.by_track
     (last,) = np.flatnonzero(result.t == PLAYED)
     assert tracks.alive[last].any()
     for n in np.flatnonzero(tracks.alive[last]).tolist():
@@ -102,7 +102,7 @@ def test_beliefs_are_those_of_the_planners(store: Store) -> None:
 
 def test_of_a_known_number_all_tracks_are_always_there(store: Store) -> None:
     result = _stored(store, play(smoke_start(dwells=4)), "known")
-    tracks = result.tracks
+    tracks = result.by_track
     assert tracks.alive.all()
     assert tracks.confirmed.all()
     assert np.isnan(tracks.existence).all()

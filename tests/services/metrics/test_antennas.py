@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.report_tables import tables
-from cogradar.services.analysis.run_arrays import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer

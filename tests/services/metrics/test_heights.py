@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.arrays.result import Result as Arrays
 from cogradar.services.analysis.export import table
-from cogradar.services.analysis.run_arrays import Result as Arrays
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
@@ -42,9 +42,9 @@ def test_a_detection_at_the_measured_range_and_direction_is_of_its_target(played
     store, result = played
     assert min(row["p_d"] for row in answer(store, "p_d", {})) >= 0.8
     arrays = arrays_of(store, result)
-    slant = np.sqrt(arrays.truth[..., 0] ** 2 + arrays.truth[..., 2] ** 2 + arrays.heights_km**2)
+    slant = np.sqrt(arrays.true_states[..., 0] ** 2 + arrays.true_states[..., 2] ** 2 + arrays.heights_km**2)
     assert np.nanmax(np.abs(arrays.measured.range_km - slant)) < 0.26
-    assert set(arrays.detected_cells.target.tolist()) >= {1, 2}
+    assert set(arrays.detections()["target"].tolist()) >= {1, 2}
     known = facts(store, result.run["run"])
     dwells = [json.loads(data) for _, data in between(store, known, Encoded(), 1, DWELLS, DWELLS)]
     found = [[target["statistic"] for target in dwell["targets"]] for dwell in dwells]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.arrays.result import Result as Arrays
 from cogradar.services.analysis.drawing.figures import accuracy, power_shares, tracks
 from cogradar.services.analysis.export import table
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.results import read_results
-from cogradar.services.analysis.run_arrays import Result as Arrays
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.display import run_caption, run_tables
 from cogradar.services.metrics.answers import answer
@@ -134,7 +134,7 @@ def test_arrays_and_tables_leave_out_who_is_not_there(played: tuple[Store, Resul
     arrays = Arrays(StoredRun(lambda metric, asked: answer(store, metric, asked), result.run["run"]))
     there = np.array([[t in there for there in THERE] for t in range(1, DWELLS + 1)])
     assert (arrays.present == there).all()
-    assert (np.isnan(arrays.truth).any(axis=-1) == ~there).all()
+    assert (np.isnan(arrays.true_states).any(axis=-1) == ~there).all()
     assert ((arrays.true_bins >= 0) == there).all()
     assert np.isnan(arrays.measured.statistic[~there]).all()
     np.testing.assert_array_equal(arrays.p_d, [np.nan if row["p_d"] is None else row["p_d"] for row in result.targets])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cogradar.services.analysis import run_arrays
+from cogradar.services.analysis.arrays import result as run_arrays
 from cogradar.services.analysis.export import table
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer

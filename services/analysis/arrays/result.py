@@ -1,14 +1,16 @@
 """One run as NumPy arrays. Lengths are in km, velocities in km/s; targets count from 1 where they are asked for."""
 
+from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.services.analysis.detections import DetectedCells
-from cogradar.services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
-from cogradar.services.analysis.track_arrays import Tracks, sent_in
+from cogradar.services.analysis.arrays import records
+from cogradar.services.analysis.arrays.messages import ByBin, OfTargets, Picture, by_target, radiated
+from cogradar.services.analysis.arrays.tracks import Tracks, sent_in
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import BY_MESSAGE
@@ -21,6 +23,7 @@ from cogradar.shared.signal.waveform import antenna_powers, beampattern, peak_to
 from cogradar.shared.wire.codec import decode
 
 if TYPE_CHECKING:
+    from cogradar.services.analysis.drawing.run_plots import RunPlots
     from cogradar.services.analysis.stored_run import StoredRun
 
 Floats = NDArray[np.float64]
@@ -35,8 +38,9 @@ class Result:
     the truth where the scenario has no [world]; scans and waveforms in a campaign's store, which has few of them.
     """
 
-    def __init__(self, stored: "StoredRun") -> None:
-        self._stored = stored
+    def __init__(self, stored: "StoredRun", save: Callable[[str], None] | None = None) -> None:
+        """save : writes the store of a run that is in no file into one."""
+        self._stored, self._save = stored, save
         row = stored.row
         self.run: str = stored.name
         self.scenario = stored.scenario
@@ -49,6 +53,19 @@ class Result:
     def __repr__(self) -> str:
         what = f"seed {self.seed}, {len(self.t)} dwells of {self.scenario.n_target} targets"
         return f"<Result {self.run}: {self.strategy}, {what}, {self.status}>"
+
+    def save(self, file: str | Path) -> None:
+        """Keep the run in a new file, which `cogradar.open` and the command line read. Raises BadInput."""
+        if self._save is None:
+            raise BadInput(f"{self.run}: is in a store already: copy its file")
+        self._save(str(file))
+
+    @property
+    def plot(self) -> "RunPlots":
+        """Pictures of it, on matplotlib: `plot.scope(dwell)`, `plot.track(2)`, `plot.beampattern(dwell)`."""
+        from cogradar.services.analysis.drawing.run_plots import RunPlots
+
+        return RunPlots(self)
 
     @property
     def t(self) -> Ints:
@@ -103,7 +120,7 @@ class Result:
         return self._column("nees")
 
     @property
-    def detections(self) -> Bools:
+    def detected(self) -> Bools:
         """A cell that holds the target (without truth: that the track asked for) was over the threshold, (T, M)."""
         return self.column("detected")
 
@@ -134,7 +151,7 @@ class Result:
         return ~np.isnan(self._column("detected"))
 
     @property
-    def truth(self) -> Floats:
+    def true_states(self) -> Floats:
         """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s; NaN while it is not there."""
         self._known_truth()
         return self._states("x", "vx", "y", "vy")
@@ -166,22 +183,22 @@ class Result:
     @property
     def p_d(self) -> Floats:
         """Share of the dwells `scored` in which the target was detected, (M,); NaN of one that has none."""
-        return np.asarray(np.ma.masked_array(self.detections, ~self.scored).mean(axis=0).filled(np.nan))
+        return np.asarray(np.ma.masked_array(self.detected, ~self.scored).mean(axis=0).filled(np.nan))
 
     @property
     def p_d_interval(self) -> Floats:
         """Wilson's 95 % interval of `p_d`, (M, 2), as if dwells were independent; (0, 1) of one that has none."""
-        return np.stack(wilson_interval((self.detections & self.scored).sum(axis=0), self.scored.sum(axis=0)), axis=-1)
+        return np.stack(wilson_interval((self.detected & self.scored).sum(axis=0), self.scored.sum(axis=0)), axis=-1)
 
     @property
     def position_rmse_km(self) -> Floats:
         """Root mean squared distance between estimate and truth over the dwells, (M,), km."""
-        return rmse(position_error(self.estimates, self.truth))
+        return rmse(position_error(self.estimates, self.true_states))
 
     @property
     def velocity_rmse_km_s(self) -> Floats:
         """Root mean squared error of the velocity over the dwells, (M,), km/s."""
-        return rmse(velocity_error(self.estimates, self.truth))
+        return rmse(velocity_error(self.estimates, self.true_states))
 
     @cached_property
     def picture(self) -> Picture:
@@ -225,12 +242,6 @@ class Result:
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, states, tracks)
 
-    @cached_property
-    def detected_cells(self) -> DetectedCells:
-        """Every tested cell over its limit, (n,) each: what a tracker of your own needs (`DetectedCells`)."""
-        truths = {truth.k: truth for truth in self._stored_of(Truth)} if self.has_truth else {}
-        return DetectedCells.of(ScanRows.of(self.scenario.radar), self._stored_of(Scan), truths)
-
     @property
     def isotropic(self) -> Floats:
         """Power that was radiated evenly in all directions, (T,)."""
@@ -267,16 +278,47 @@ class Result:
     def covariance(self) -> Floats:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
         found = np.full((*self.present.shape, 4, 4), np.nan)
-        i, n = np.nonzero(self.tracks.targets)
-        found[i, self.tracks.targets[i, n] - 1] = self.tracks.covariance[i, n]
+        i, n = np.nonzero(self.by_track.targets)
+        found[i, self.by_track.targets[i, n] - 1] = self.by_track.covariance[i, n]
         return found
 
     @cached_property
-    def tracks(self) -> Tracks:
+    def by_track(self) -> Tracks:
         """All tracks that ever were, whatever they follow: of an unknown number they begin and end (`Tracks`)."""
         ks = self._scores[1].tolist()
         plans, sent = self._stored_of(Plan), sent_in(self._stored_of(Waveform, Truth), ks)
         return Tracks.of(plans, sent, ks, self._column("track"))
+
+    # Tables: structured arrays, a row per thing and dwell, acquisition included (`Records`).
+
+    def detections(self, *, all_looks: bool = False) -> records.Records:
+        """Every tested cell over its limit, or all tested cells: direction, range, statistic, limit, amplitude, sigma.
+
+        The columns are those of `cogradar.services.analysis.arrays.records.detections`.
+        """
+        truths = {truth.k: truth for truth in self._stored_of(Truth)} if self.has_truth else None
+        return records.detections(self.scenario.radar, self._stored_of(Scan), truths, all_looks=all_looks)
+
+    def tracks(self) -> records.Records:
+        """The tracks of each dwell: state and covariance, existence, detection, share of the power, target followed."""
+        followed = {
+            (int(k), int(track)): m + 1
+            for k, row in zip(self._scores[1], self._column("track"), strict=True)
+            for m, track in enumerate(row)
+            if track > 0
+        }
+        plans = self._stored_of(Plan)
+        return records.tracks(self._dt_s, plans, self._sent, followed if self.has_truth else None)
+
+    def truth(self) -> records.Records:
+        """The targets of each dwell: state on the ground, height, bin, signal-to-noise ratio."""
+        self._known_truth()
+        return records.truth(self._dt_s, self._stored_of(Truth))
+
+    def waveforms(self) -> records.Records:
+        """What each dwell radiated: power spread evenly, and the factor of its covariance."""
+        dwells = [(scan.k, scan.t) for scan in self._stored_of(Scan)]
+        return records.waveforms(self._dt_s, dwells, self._sent, self.scenario.radar.array.n_tx)
 
     # From the beliefs, which follow from the scans. A dwell costs what the planner's update of it did, without search.
 
@@ -327,6 +369,17 @@ class Result:
         if not found and len(self.t):
             raise BadInput(f"{self.run}: no {' or '.join(topics)} is stored, as in the store of a campaign")
         return found
+
+    @property
+    def _dt_s(self) -> float:
+        return self.scenario.radar.motion.dt_s
+
+    @cached_property
+    def _sent(self) -> dict[int, Waveform]:
+        """What was radiated in each dwell k, as far as it is stored."""
+        ks = [scan.k for scan in self._stored_of(Scan)]
+        sent = sent_in(self._stored_of(Waveform, Truth), ks)
+        return {k: one for k, one in zip(ks, sent, strict=True) if one is not None}
 
     @cached_property
     def _scans(self) -> ByBin:

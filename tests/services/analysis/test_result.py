@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics import messages as pages
@@ -74,7 +74,7 @@ def test_statistics_are_those_of_the_cells_that_were_tested(strategy: Strategy, 
         beams = [set(row) for row in result.bins.tolist()]
         assert [set(np.flatnonzero(row)) for row in result.tested] == beams
     at_target = np.take_along_axis(result.statistics, result.true_bins, axis=1)
-    assert np.array_equal(at_target >= threshold(SMOKE.radar.detector.p_fa), result.detections)
+    assert np.array_equal(at_target >= threshold(SMOKE.radar.detector.p_fa), result.detected)
     known = result.tested
     assert result.statistics[known] == pytest.approx(
         2.0 * (np.abs(result.alpha_hat[known]) / result.sigma_hat[known]) ** 2, rel=1e-5
@@ -144,7 +144,7 @@ def test_a_campaigns_run_has_its_scores_and_says_what_it_lacks(store: Store, res
     assert recording is not None
     kept.journal.add_recording(recording, 1)
     other = Result(StoredRun(partial(answer, kept)))
-    assert np.array_equal(other.truth, result.truth)
+    assert np.array_equal(other.true_states, result.true_states)
     assert np.array_equal(other.shares, result.shares)
     with pytest.raises(BadInput, match="no scan is stored"):
         _ = other.statistics
@@ -162,6 +162,6 @@ def test_a_run_that_has_not_begun_to_track_is_empty(result: Result) -> None:
     begun.journal.add_run(RunStart.of(SMOKE, Strategy.UNIFORM, 1, 5))
     empty = Result(StoredRun(partial(answer, begun)))
     assert repr(empty) == f"<Result {empty.run}: uniform, seed 1, 0 dwells of {TARGETS} targets, running>"
-    assert (empty.status, empty.t.size, empty.truth.shape) == ("running", 0, (0, TARGETS, 4))
+    assert (empty.status, empty.t.size, empty.true_states.shape) == ("running", 0, (0, TARGETS, 4))
     assert (empty.statistics.shape, empty.covariance.shape) == ((0, BINS), (0, TARGETS, 4, 4))
     assert empty.status != result.status

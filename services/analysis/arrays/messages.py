@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.analysis.track_arrays import sent_in
+from cogradar.services.analysis.arrays.tracks import sent_in
 from cogradar.shared.protocol.messages import Scan, Truth, Waveform
 from cogradar.shared.scoring.scan_rows import ScanRows
 

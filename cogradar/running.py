@@ -1,0 +1,259 @@
+"""Playing runs in this process: `load`, `run`, and `play`, dwell by dwell."""
+
+import json
+import logging
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+
+from pydantic import ValidationError
+
+from cogradar.services.analysis.arrays import records
+from cogradar.services.analysis.arrays.records import Records
+from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.errors import BadInput
+from cogradar.services.runs.run import as_played, ending, strategy_of
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.faults import explain
+from cogradar.shared.scenario.files import ScenarioError, parse
+from cogradar.shared.scenario.files import load as load_file
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, Kind
+from cogradar.shared.scenario.plugins.names import PluginError
+from cogradar.shared.scenario.plugins.resolver import named
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from cogradar.plugins import BinRule, Disturbance, PowerRule
+    from cogradar.services.runs import in_process
+    from cogradar.shared.protocol.messages import Waveform
+
+log = logging.getLogger("cogradar")
+
+
+def load(name_or_path: str | Path, settings: Sequence[str] = ()) -> Scenario:
+    """A scenario: the name of a built-in one, or the path of a TOML file. Raises BadInput if it cannot be used.
+
+    settings : of `--set`: "radar.array.n_tx=32", "world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
+    """
+    try:
+        return load_file(str(name_or_path), settings)
+    except ScenarioError as error:
+        raise BadInput(str(error)) from None
+
+
+Settings = Sequence[str] | Mapping[str, Any]
+
+
+class Dwell:
+    """One dwell of a run that is being played; its tables have the columns of those of `Result`."""
+
+    def __init__(self, said: "in_process.Dwell", scenario: Scenario) -> None:
+        self._said, self._scenario = said, scenario
+        self.k: int = said.k  # counted from 0, acquisition included
+        self.t: int = said.scan.t  # counted from 1 after the acquisition, 0 during it
+
+    def __repr__(self) -> str:
+        return f"<Dwell k = {self.k}, t = {self.t}: {len(self.detections())} detections, {len(self.tracks())} tracks>"
+
+    def detections(self, *, all_looks: bool = False) -> Records:
+        """Every tested cell over its limit, or all tested cells."""
+        truths = None if self._said.truth is None else {self.k: self._said.truth}
+        return records.detections(self._scenario.radar, [self._said.scan], truths, all_looks=all_looks)
+
+    def tracks(self) -> Records:
+        """The tracks after this dwell; which target each follows is known at the end only."""
+        return records.tracks(self._dt_s, self._said.plans, self._sent)
+
+    def truth(self) -> Records:
+        """The targets. Raises BadInput where there is no truth."""
+        if self._said.truth is None:
+            raise BadInput("there is no truth: the front end does not know where targets are")
+        return records.truth(self._dt_s, [self._said.truth])
+
+    def waveforms(self) -> Records:
+        """What was radiated, one row."""
+        return records.waveforms(self._dt_s, [(self.k, self.t)], self._sent, self._scenario.radar.array.n_tx)
+
+    @property
+    def _dt_s(self) -> float:
+        return self._scenario.radar.motion.dt_s
+
+    @property
+    def _sent(self) -> "dict[int, Waveform]":
+        return {} if self._said.sent is None else {self.k: self._said.sent}
+
+
+class Player:
+    """A run that is played dwell by dwell: an iterator of `Dwell`, and its `result` once it is over.
+
+    Closed before its end, as at the end of a `with` that is left earlier, the run is cancelled.
+    """
+
+    def __init__(self, start: RunStart, planners: int, store: str | Path | None, front_end: str) -> None:
+        from cogradar.services import kernels
+        from cogradar.services.metrics.store import Store, in_memory
+        from cogradar.services.recorder.journal import Journal
+        from cogradar.services.runs import in_process
+
+        self.run, self.dwells = start.run, start.dwells
+        self._scenario = Scenario.model_validate(start.scenario)
+        self._file, self._is_closed = store, False
+        self._store = in_memory() if store is None else Store(Journal(str(store), owner="cogradar.run"))
+        try:
+            kernels.compile_all(log.warning)
+            self._steps = in_process.steps(start, planners=planners, store=self._store, front_end=front_end)
+        except BaseException:
+            self._store.close()
+            raise
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Dwell:
+        return Dwell(next(self._steps), self._scenario)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Cancel the run if it is not over, and close its file."""
+        self._steps.close()
+        if self._file is not None and not self._is_closed:
+            self._store.close()
+        self._is_closed = True
+
+    @property
+    def result(self) -> Result:
+        """The run as arrays, as far as it has been played."""
+        from cogradar.services.analysis.stored_run import StoredRun
+        from cogradar.services.metrics.answers import answer
+        from cogradar.services.metrics.store import Store
+        from cogradar.services.recorder.journal import Journal
+
+        store = Store(Journal(str(self._file), read_only=True)) if self._is_closed and self._file else self._store
+        save = None if self._file is not None else store.journal.copy_to
+        return Result(StoredRun(partial(answer, store), self.run), save)
+
+
+class Playing(TypedDict, total=False):
+    """How a run is played.
+
+    set         : settings as `--set` takes them, ["radar.array.n_tx=32"], or {"radar.array.n_tx": 32}
+    strategy    : how the power is spread: "orthogonal", "uniform" or "power-aware", which is the default; or your own,
+                  "PATH.py:NAME" or an object (`cogradar.plugins`), as of the next three
+    rule        : rule of looking, in place of `radar.planner.rule`
+    objective   : in place of `radar.allocation.objective`
+    disturbance : in place of `world.disturbance.model`
+    belief      : kind of belief, `radar.belief.filter`
+    seed        : of all that is random, 0 .. 2^63 - 1; 1 if left out
+    dwells      : tracking dwells, the scenario's number if left out
+    planners    : how many share the tracks; they take turns, and the result is the same for any number
+    front_end   : "simulated", "recorded:FILE", "PATH.py:NAME" or "package.module:NAME"
+    store       : a file that keeps the run, as `cogradar run --store` writes it
+    """
+
+    set: Settings
+    strategy: "str | PowerRule"
+    rule: "str | BinRule | None"
+    objective: "str | PowerRule | None"
+    disturbance: "str | Disturbance | None"
+    belief: str | None
+    seed: int
+    dwells: int | None
+    planners: int
+    front_end: str
+    store: str | Path | None
+
+
+def play(scenario: Scenario | str | Path, **how: Unpack[Playing]) -> Player:
+    """Play a run in this process, dwell by dwell: `for dwell in cogradar.play("paper"): ...`.
+
+    scenario : a Scenario, or what `load` takes
+    how      : of `Playing`
+
+    The dwells of the acquisition come first. Errors are those of `run`.
+    """
+    from cogradar.services.front_ends import settled
+
+    loaded = _loaded(scenario, how)
+    front_end = how.get("front_end", Start.front_end)
+    strategy = strategy_of(how.get("strategy", Strategy.POWER_AWARE))
+    seed, planners = _whole("seed", how.get("seed", 1)), _whole("planners", how.get("planners", 1))
+    if planners < 1:
+        raise BadInput(f"planners = {planners}: must be at least 1")
+    dwells = how.get("dwells")
+    try:
+        start = RunStart.of(loaded, strategy, seed, None if dwells is None else _whole("dwells", dwells))
+    except ValidationError as error:
+        raise BadInput(explain(error, RunStart)) from None
+    return Player(ending(start), planners, how.get("store"), settled(front_end))
+
+
+def run(
+    scenario: Scenario | str | Path,
+    *,
+    progress: Callable[[int, int], object] | None = None,
+    callback: Callable[[Dwell], object] | None = None,
+    **how: Unpack[Playing],
+) -> Result:
+    """Play one run in this process, as `cogradar run --in-process` does: the same digest for the same arguments.
+
+    scenario : a Scenario, or what `load` takes
+    progress : called after each dwell with the tracking dwells done and those to do
+    callback : called with each `Dwell`, those of the acquisition included
+    how      : of `Playing`
+
+    Raises BadInput for arguments that make no sense, RunFailed if the run does not reach its end. The first call after
+    an installation compiles for about a minute, and logs that.
+    """
+    with play(scenario, **how) as player:
+        for dwell in player:
+            if callback is not None:
+                callback(dwell)
+            if progress is not None:
+                progress(dwell.t, player.dwells)
+    return player.result
+
+
+def _loaded(scenario: Scenario | str | Path, how: Playing) -> Scenario:
+    """The scenario with the settings of a run. Raises BadInput."""
+    given = how.get("set", ())
+    settings = [f"{key}={_toml(value)}" for key, value in given.items()] if isinstance(given, Mapping) else list(given)
+    if (belief := how.get("belief")) is not None:
+        settings.append(f"radar.belief.filter={_toml(belief)}")
+    if not isinstance(scenario, Scenario):
+        loaded = load(scenario, settings)
+    elif settings:
+        raise BadInput(f"{settings[0]}: a Scenario has all its values: give load() the settings, or run() the name")
+    else:
+        loaded = scenario
+    own = {RULE: how.get("rule"), OBJECTIVE: how.get("objective"), DISTURBANCE: how.get("disturbance")}
+    return as_played(_with_own(loaded, own), how.get("front_end", Start.front_end))
+
+
+def _toml(value: object) -> str:
+    """A value as a scenario file would have it."""
+    match value:
+        case Mapping():
+            return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(one)}" for key, one in value.items()) + "}"
+        case str() | bool():
+            return json.dumps(value)
+        case Iterable():
+            return "[" + ", ".join(map(_toml, value)) + "]"
+        case _:
+            return str(value)
+
+
+def _whole(name: str, value: object) -> int:
+    """An argument that must be a whole number, of Python or of NumPy. Raises BadInput."""
+    try:
+        return operator.index(value)  # type: ignore[arg-type] # what is no number is what it finds out
+    except TypeError:
+        raise BadInput(f"{name} = {value!r}: must be a whole number") from None
