@@ -29,23 +29,23 @@ from cogradar.shared.scenario.scenario import Scenario
 if TYPE_CHECKING:
     from cogradar.plugins import BinRule, Disturbance, PowerRule
     from cogradar.services.runs import in_process
-    from cogradar.shared.protocol.messages import Waveform
+    from cogradar.shared.protocol.messages import Plan, Waveform
 
 log = logging.getLogger("cogradar")
 
+Settings = Sequence[str] | Mapping[str, Any]  # as of `--set`, or by key
 
-def load(name_or_path: str | Path, settings: Sequence[str] = ()) -> Scenario:
+
+def load(name_or_path: str | Path, settings: Settings = ()) -> Scenario:
     """A scenario: the name of a built-in one, or the path of a TOML file. Raises BadInput if it cannot be used.
 
-    settings : of `--set`: "radar.array.n_tx=32", "world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
+    settings : as of `--set`, ["radar.array.n_tx=32", "world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"], or
+               {"radar.array.n_tx": 32, "world.targets.2.state": [60.0, 0.2, 7.5, 0.1]}
     """
     try:
-        return load_file(str(name_or_path), settings)
+        return load_file(str(name_or_path), _texts(settings))
     except ScenarioError as error:
         raise BadInput(str(error)) from None
-
-
-Settings = Sequence[str] | Mapping[str, Any]
 
 
 class Dwell:
@@ -77,6 +77,16 @@ class Dwell:
     def waveforms(self) -> Records:
         """What was radiated, one row."""
         return records.waveforms(self._dt_s, [(self.k, self.t)], self._sent, self._scenario.radar.array.n_tx)
+
+    @property
+    def plans(self) -> "list[Plan]":
+        """What each track asks for, as messages."""
+        return self._said.plans
+
+    @property
+    def next(self) -> "Waveform | None":
+        """What will be radiated in the dwell that follows, as a message."""
+        return self._said.next
 
     @property
     def _dt_s(self) -> float:
@@ -115,6 +125,10 @@ class Player:
 
     def __next__(self) -> Dwell:
         return Dwell(next(self._steps), self._scenario)
+
+    def send(self, waveform: "Waveform | None") -> Dwell:
+        """The next dwell, with this waveform in place of the radar's own. Raises StopIteration after the last one."""
+        return Dwell(self._steps.send(waveform), self._scenario)
 
     def __enter__(self) -> Self:
         return self
@@ -224,8 +238,7 @@ def run(
 
 def _loaded(scenario: Scenario | str | Path, how: Playing) -> Scenario:
     """The scenario with the settings of a run. Raises BadInput."""
-    given = how.get("set", ())
-    settings = [f"{key}={_toml(value)}" for key, value in given.items()] if isinstance(given, Mapping) else list(given)
+    settings = _texts(how.get("set", ()))
     if (belief := how.get("belief")) is not None:
         settings.append(f"radar.belief.filter={_toml(belief)}")
     if not isinstance(scenario, Scenario):
@@ -236,6 +249,35 @@ def _loaded(scenario: Scenario | str | Path, how: Playing) -> Scenario:
         loaded = scenario
     own = {RULE: how.get("rule"), OBJECTIVE: how.get("objective"), DISTURBANCE: how.get("disturbance")}
     return as_played(_with_own(loaded, own), how.get("front_end", Start.front_end))
+
+
+def _with_own(scenario: Scenario, things: Mapping[Kind, Any]) -> Scenario:
+    """A scenario with other things, by name or as objects. Raises BadInput."""
+    document = scenario.model_dump()
+    for kind, thing in things.items():
+        *tables, key = kind.stands.split(".")
+        table: Any = document
+        for part in tables:
+            table = table[part]
+            if table is None and thing is not None:
+                raise BadInput(f"{kind.name}: {scenario.name} has no [world]")
+        if thing is not None:
+            try:
+                table[key] = named(kind, thing, Path())
+            except PluginError as error:
+                raise BadInput(f"{kind.name} = {thing!r}: {error}") from None
+    if all(thing is None for thing in things.values()):
+        return scenario
+    try:
+        return parse(document, scenario.name)
+    except ScenarioError as error:
+        raise BadInput(str(error)) from None
+
+
+def _texts(settings: Settings) -> list[str]:
+    if isinstance(settings, Mapping):
+        return [f"{key}={_toml(value)}" for key, value in settings.items()]
+    return list(settings)
 
 
 def _toml(value: object) -> str:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.messages import Plan, RunCancel, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.tables import TRUE_RULES
-from cogradar.shared.wire.bus import Bus, LocalNetwork
+from cogradar.shared.wire.bus import Bus, LocalBus, LocalNetwork
 from cogradar.shared.wire.runner import Core, step
 
 REPORT_EVERY_S = 0.25
@@ -33,6 +34,7 @@ class Dwell:
     sent: Waveform | None  # what was radiated; None: before the first waveform
     truth: Truth | None = None
     plans: list[Plan] = field(default_factory=list)
+    next: Waveform | None = None  # what the allocator will have radiated in the dwell that follows
 
 
 def play(
@@ -62,8 +64,11 @@ def steps(
     report: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
-) -> Generator[Dwell, None, Result]:
+) -> Generator[Dwell, Waveform | None, Result]:
     """Play one run dwell by dwell, the acquisition included, and score it at its end; closed earlier, it is cancelled.
+
+    A waveform that is sent in answer to a dwell is radiated next, in place of the one that the allocator made. Else the
+    run is that of `play`.
 
     store     : where its messages go, and the scores are read
     front_end : a name of `cogradar.services.front_ends`
@@ -76,18 +81,7 @@ def steps(
     began = next_report = time.monotonic()
     store = store or in_memory()
     network = LocalNetwork()
-    knows_truth = start.scenario["radar"]["planner"]["rule"] in TRUE_RULES
-    foresight = Foresight(start, front_end) if knows_truth else None
-    endpoints = []
-    for service in TOPOLOGY:
-        for i in range(planners if service.scalable else 1):
-            if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
-                name = f"{service.role}-{i}"
-                is_recorder = service.role is Role.RECORDER
-                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
-                if foresight is not None and service.role is Role.PLANNER:
-                    core = KnowingPlanner(core, foresight)
-                endpoints.append((core, network.endpoint(service.role, name)))
+    endpoints = _endpoints(network, start, store, planners, front_end)
     ask = partial(answer, store)
     (recorded,) = (bus.queue for _, bus in endpoints if bus.role is Role.RECORDER)  # which gets all that is said
 
@@ -101,7 +95,11 @@ def steps(
     dwells = _Dwells()
     with _ended_whatever_happens(store, cancel):
         while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
-            yield from dwells.complete(recorded)
+            for dwell in dwells.complete(recorded):
+                if (chosen := (yield dwell)) is not None:
+                    dwells.sent = chosen
+                    for _, bus in endpoints:  # nobody has read it: the allocator takes its turn last
+                        _replace(bus.queue, dwell.next, chosen)
             if report is not None and time.monotonic() >= next_report:
                 if (now := progress(ask, start)) is not None:
                     report(now)
@@ -113,26 +111,46 @@ def steps(
     return done
 
 
+def _endpoints(
+    network: LocalNetwork, start: RunStart, store: Store, planners: int, front_end: str
+) -> list[tuple[Core, LocalBus]]:
+    """All cores of a run, in the order in which they take their turns."""
+    knows_truth = start.scenario["radar"]["planner"]["rule"] in TRUE_RULES
+    foresight = Foresight(start, front_end) if knows_truth else None
+    endpoints = []
+    for service in TOPOLOGY:
+        for i in range(planners if service.scalable else 1):
+            if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
+                name = f"{service.role}-{i}"
+                is_recorder = service.role is Role.RECORDER
+                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
+                if foresight is not None and service.role is Role.PLANNER:
+                    core = KnowingPlanner(core, foresight)
+                endpoints.append((core, network.endpoint(service.role, name)))
+    return endpoints
+
+
 class _Dwells:
     """Messages by the dwell that they are of, until the waveform that follows from it is there."""
 
     def __init__(self) -> None:
         self._open: dict[int, Dwell] = {}
-        self._sent: Waveform | None = None
+        self.sent: Waveform | None = None  # the newest
 
     def complete(self, messages: Iterable[Event]) -> Iterator[Dwell]:
         """Take what was said since the last time; the dwells of which nothing more will come."""
-        for message in messages:
+        for message in list(messages):
             match message:
                 case Scan(k=k):
-                    self._open[k] = Dwell(k, message, self._sent)
+                    self._open[k] = Dwell(k, message, self.sent)
                 case Truth(k=k):
                     self._open[k].truth = message
                 case Plan(k=k):
                     self._open[k].plans.append(message)
                 case Waveform(k=k):
-                    self._sent = message
+                    self.sent = message
                     if (done := self._open.pop(k, None)) is not None:
+                        done.next = message
                         yield done
 
 
@@ -150,6 +168,12 @@ def _ended_whatever_happens(store: Store, cancel: Callable[[], None]) -> Iterato
             store.journal.give_up_unfinished()
             store.journal.commit()
         raise
+
+
+def _replace(queue: deque[Event], old: Event | None, new: Event) -> None:
+    for i, event in enumerate(queue):
+        if event is old:
+            queue[i] = new
 
 
 def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:

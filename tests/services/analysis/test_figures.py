@@ -289,7 +289,7 @@ def test_nothing_is_cropped_and_no_look_is_used_twice(n_target: int, results: Re
             "power": figures.power_shares(many),
         }
         for name, figure in drawn.items():
-            FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call] # of matplotlib
+            FigureCanvasAgg(figure).draw()
             for part in [*figure.legends, *(axes.title for axes in figure.axes if axes.axison)]:
                 box = part.get_window_extent()
                 assert 0.0 <= box.x0 <= box.x1 <= figure.bbox.width, (name, part)
