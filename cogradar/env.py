@@ -102,13 +102,13 @@ class _Radar(gymnasium.Env[Observation, Action]):
         of_run = int(self.np_random.integers(2**63))
         self._player = play(self._scenario, seed=of_run, dwells=self._dwells, strategy="uniform")
         self._dwell = next(dwell for dwell in self._player if self._begins(dwell))
-        return self._observation(self._now), self._info(self._now)
+        return self._observation(self.dwell), self._info(self.dwell)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Radiate what the action says, and measure; the action is that for the dwell after the last observation."""
         if self._player is None:
             raise BadInput("step: reset the environment first")
-        self._dwell = self._player.send(self._waveform(self._now, action))
+        self._dwell = self._player.send(self._waveform(self.dwell, action))
         is_last = self._dwell.t >= self._player.dwells
         reward = self._reward(self._dwell)
         return self._observation(self._dwell), reward, False, is_last, self._info(self._dwell)
@@ -120,9 +120,9 @@ class _Radar(gymnasium.Env[Observation, Action]):
 
         figure = Figure(figsize=(6.4, 4.8), dpi=100)
         canvas, axes = FigureCanvasAgg(figure), figure.add_subplot()
-        truth, tracks = self._now.truth(), self._now.tracks()
+        truth, tracks = self.dwell.truth(), self.dwell.tracks()
         axes.plot(truth["y"], truth["x"], "+", tracks["y_hat"], tracks["x_hat"], "o", markerfacecolor="none")
-        axes.set(xlabel="y, km", ylabel="x (boresight), km", title=f"dwell {self._now.t}")
+        axes.set(xlabel="y, km", ylabel="x (boresight), km", title=f"dwell {self.dwell.t}")
         canvas.draw()
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -133,7 +133,8 @@ class _Radar(gymnasium.Env[Observation, Action]):
         self._player = self._dwell = None
 
     @property
-    def _now(self) -> Dwell:
+    def dwell(self) -> Dwell:
+        """The last dwell, with all its tables. Raises BadInput before the first one."""
         if self._dwell is None:
             raise BadInput("reset the environment first")
         return self._dwell

@@ -30,7 +30,7 @@ from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.runs.run import untold
 from cogradar.shared.scenario.files import load
 
-SCALING, CROWD, DECISIONS, TRACKERS = "scale", "crowd", "judged", "trackers"  # markers in pages
+SCALING, CROWD, DECISIONS, TRACKERS, AGENTS = "scale", "crowd", "judged", "trackers", "agents"  # markers in pages
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -245,6 +245,27 @@ def trackers(
             found = study.table(study.play(skies, seeds, dwells, store, tell, stop))
         if into:
             write_into(Path(into), {TRACKERS: [markdown(found)]})
+    print_tables(out, [found])
+
+
+@app.command()
+def agents(
+    scenario: ScenarioOption = "starved",
+    seeds: Annotated[int, typer.Option(min=2, max=1000, help="Runs of each policy, seeds from 1.")] = 20,
+    dwells: DwellsOption = 60,
+    into: IntoOption = None,
+) -> None:
+    """Train an agent in an environment, and compare it with others and with the radar's own rules."""
+    from cogradar.services.analysis.tables import markdown, write_into
+    from studies import agents as study
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [AGENTS])
+        with _measuring(stop, as_json=False) as tell:
+            found = study.table(scenario, seeds, dwells, tell, stop)
+        if into:
+            write_into(Path(into), {AGENTS: [markdown(found)]})
     print_tables(out, [found])
 
 

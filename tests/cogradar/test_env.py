@@ -65,7 +65,7 @@ def test_the_waveform_is_what_the_action_says() -> None:
     for _ in range(4):
         bins = (observation["best_bin"] + np.array([0, 3])) % 16
         observation, *_ = environment.step({"bins": bins, "weights": np.array([0.25, 0.75])})
-    dwell = environment._dwell
+    dwell = environment.dwell
     looks, sent = dwell.detections(all_looks=True), dwell.waveforms()
     assert sorted(looks["nu"].tolist()) == pytest.approx(sorted((bins / 15.0 - 0.5).tolist()))
     assert dwell.tracks()["share"].tolist() == pytest.approx([0.25, 0.75])
@@ -81,7 +81,7 @@ def test_power_goes_where_the_agent_puts_it() -> None:
         first = np.zeros(cogradar.env.SLOTS)
         first[0] = 1.0
         observation, *_ = environment.step({"weights": first, "search": np.array([1.0])})
-    tracks = environment._dwell.tracks()
+    tracks = environment.dwell.tracks()
     assert np.count_nonzero(observation["existence"]) >= 2
     assert tracks["share"][0] == pytest.approx(0.5)
     assert not tracks["share"][1:].any()
