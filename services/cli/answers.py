@@ -146,7 +146,8 @@ def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
     for row in rows if not (chosen or wide) else ():
         if note := row.get("reason") or row.get("waiting_for"):
             stopped = "stopped " if row.get("status") == "stopped" else ""
-            say(f"{row['run']}: {stopped}{note}")
+            of = f"{row['run']}, {row['n']}" if metric == "commands" else row["run"]
+            say(f"{of}: {stopped}{note}")
 
 
 def export(

@@ -210,10 +210,11 @@ def _play_here(
     show : gets the result while the processes are up; they stay so until `stop` is set
     """
     from cogradar.services.cli.display import RunDisplay
-    from cogradar.services.web.address import listen
+    from cogradar.services.web.address import commanders, listen
 
-    if (listener := listen(given.http)) is not None:  # an address that cannot be is refused before anything slow
+    if (listener := listen(given.http)) is not None:  # what cannot be is refused before anything slow
         listener.close()
+        commanders()
     journal = _journal(given.store)
     with RunDisplay(console, start.dwells) as display:
         with closing(journal):

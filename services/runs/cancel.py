@@ -39,11 +39,19 @@ def cancel_on(endpoint: str, run: str) -> None:
     try:
         check_running(session, run)
         if cancel(session, bus, [run]):
-            raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {run} is cancelled: it may go on")
+            raise RunFailed(_unconfirmed(session, run))
     except NoAnswer:
         raise NoMetrics(f"no metrics service answers at {endpoint}") from None
     finally:
         bus.close()
+
+
+def _unconfirmed(session: Session, run: str) -> str:
+    try:
+        status(session, run)
+    except NoAnswer:  # as the processes of `cogradar run`, which end with their run
+        return f"{run}: its services have ended since it was to be cancelled, or no longer answer"
+    return f"no answer within {WITHIN_S:.0f} s says that {run} is cancelled: it may go on"
 
 
 def check_running(session: Session, run: str) -> None:
