@@ -93,7 +93,7 @@ def test_in_process_by_name_and_as_objects_it_is_the_same_run(folder: Path) -> N
     exec("\n".join((folder / file).read_text() for file in files), namespace)  # noqa: S102 - they are ours
     result = cogradar.run(
         "smoke",
-        namespace["strongest"],
+        strategy=namespace["strongest"],
         dwells=12,
         rule=namespace["ahead"],
         disturbance=namespace["BURSTS"],
