@@ -100,7 +100,7 @@ def test_settings_are_those_of_the_command_line() -> None:
     assert ours.scenario.radar.array.n_tx == 12
     with pytest.raises(cogradar.BadInput, match="a Scenario has all its values"):
         cogradar.run(ours.scenario, set=settings)
-    with pytest.raises(cogradar.BadInput, match="rule = .clairvoyant.: must be one of pomcp"):
+    with pytest.raises(cogradar.BadInput, match=r"rule = .clairvoyant.: must be one of pomcp"):
         cogradar.run("smoke", rule="clairvoyant")
     with pytest.raises(cogradar.BadInput, match="cannot be imported"):
         cogradar.run("smoke", front_end="nowhere.py:None", dwells=2)
