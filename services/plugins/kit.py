@@ -2,6 +2,7 @@
 
 import inspect
 import random
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +13,13 @@ import numpy as np
 
 from cogradar.services.errors import BadInput
 from cogradar.services.plugins.trials import Trial, trial_of
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, STRATEGY, Kind
-from cogradar.shared.scenario.plugins.names import Name, PluginError, PluginFailed, PluginRefused
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.names import Name, PluginError, PluginFailed
 from cogradar.shared.scenario.plugins.resolver import module_of, resolve
 from cogradar.shared.scenario.plugins.sources import settled
 
 CALLS = 20  # of which the middle one's cost is shown
-KINDS = {kind.name: kind for kind in (RULE, STRATEGY, OBJECTIVE, DISTURBANCE)}
+KINDS = {kind.name: kind for kind in (RULE, STRATEGY, OBJECTIVE, DISTURBANCE, FRONT_END)}
 
 
 class Finding(NamedTuple):
@@ -66,6 +67,8 @@ def _kind(thing: Any) -> Kind | None:
     """What a thing seems to be, by what it has or by its arguments; None: nothing that is known."""
     if all(hasattr(thing, method) for method in ("draw", "power_spectrum")):
         return DISTURBANCE
+    if all(hasattr(thing, method) for method in ("transmit", "close")):
+        return FRONT_END
     try:
         n = len(inspect.signature(thing).parameters) if callable(thing) else 0
     except (TypeError, ValueError):
@@ -75,17 +78,16 @@ def _kind(thing: Any) -> Kind | None:
 
 def _kind_of(text: str) -> Kind:
     """What a thing of this name seems to be. Raises PluginError or BadInput."""
-    refused: PluginRefused | None = None
-    for kind in (DISTURBANCE, RULE, STRATEGY):
+    refused: PluginError | None = None
+    for kind in (DISTURBANCE, FRONT_END, RULE, STRATEGY):
         try:
             resolve(kind, settled(kind, text, Path()))
-        except PluginRefused as error:
+        except PluginError as error:
             refused = refused or error
-        else:
-            if kind is DISTURBANCE or not Name.of(text).is_file:
-                return kind
-            thing = vars(module_of(Path(Name.of(text).source)))[Name.of(text).attribute]
-            return _kind(thing) or kind
+            continue
+        name = Name.of(text)
+        module = module_of(Path(name.source)) if name.is_file else sys.modules.get(name.source)
+        return _kind(getattr(module, name.attribute, None)) or kind
     raise refused or BadInput(f"{text}: of which kind is it? Say it with --kind")
 
 
@@ -106,8 +108,10 @@ def _checked(text: str, kind: Kind) -> Iterator[Finding]:
     except PluginFailed as error:
         yield Finding(short, "answers", str(error), ok=False)
         return
-    own, other = _cost_ms(thing, trial), _cost_ms(resolve(kind, trial.beside), trial)
-    yield Finding(short, "cost", f"{own:.3g} ms a call, {trial.beside}: {other:.3g} ms", ok=True)
+    cost = f"{_cost_ms(thing, trial):.3g} ms a call"
+    if trial.beside:
+        cost += f", {trial.beside}: {_cost_ms(resolve(kind, trial.beside), trial):.3g} ms"
+    yield Finding(short, "cost", cost, ok=True)
 
 
 def _behaviour(short: str, thing: Any, trial: Trial) -> Iterator[Finding]:
@@ -120,7 +124,8 @@ def _behaviour(short: str, thing: Any, trial: Trial) -> Iterator[Finding]:
     again = [_plain(trial.call(thing, *case())) for _, case in reversed(trial.cases)][::-1]
     differs = [words for (words, _), a, b in zip(trial.cases, first, again, strict=True) if a != b]
     said = f"another answer when asked again: {', '.join(differs)}" if differs else "the same answer when asked again"
-    yield Finding(short, "determinism", said, not differs)
+    if trial.repeats:
+        yield Finding(short, "determinism", said, not differs)
     after = random.getstate(), np.random.get_state()  # noqa: NPY002
     uses = _plain(before) != _plain(after)
     said = "draws from Python's or NumPy's global generator" if uses else "no global random state is used"

@@ -10,7 +10,7 @@ FOLDER = Path(__file__).parents[2] / "templates"
 
 def kinds() -> list[str]:
     """Kinds of which there is one."""
-    return sorted(path.stem for path in FOLDER.glob("*.py"))
+    return sorted(path.stem.replace("_", "-") for path in FOLDER.glob("*.py"))
 
 
 def write(kind: str, file: Path, *, force: bool = False) -> str:
@@ -19,7 +19,7 @@ def write(kind: str, file: Path, *, force: bool = False) -> str:
         raise BadInput(f"{kind}: must be one of {', '.join(kinds())}")
     if file.suffix != ".py":
         raise BadInput(f"{file}: must be a .py file")
-    text = (FOLDER / f"{kind}.py").read_text(encoding="utf-8").replace("FILE.py", file.name)
+    text = (FOLDER / f"{kind.replace('-', '_')}.py").read_text(encoding="utf-8").replace("FILE.py", file.name)
     try:
         with file.open("w" if force else "x", encoding="utf-8") as stream:
             stream.write(text)

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.services.emulator.cycle import compared, scan_message, transmission
+from cogradar.services.emulator.front_end import FrontEnd, Settings, Transmission
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.planning.radar_pomdp import problem_of
 from cogradar.shared.power.rules import Requests
 from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.names import PluginFailed
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.tracking.model import TrackerModel
@@ -31,9 +34,10 @@ class Trial:
     """How a kind is tried."""
 
     cases: Sequence[tuple[str, Case]]  # in words, and the arguments
-    beside: str  # the built-in one whose cost is shown
+    beside: str  # the built-in one whose cost is shown; "": there is none to be called so
     call: Callable[..., Any] = lambda thing, *arguments: thing(*arguments)
     more: Callable[[Any], tuple[str, bool]] | None = None  # what else is found, and whether it is as it should be
+    repeats: bool = True  # the same answer to the same arguments; no measurement does
 
 
 def trial_of(kind: Kind) -> Trial:
@@ -43,6 +47,7 @@ def trial_of(kind: Kind) -> Trial:
         STRATEGY: partial(_power, "power-aware"),
         OBJECTIVE: partial(_power, "max-min"),
         DISTURBANCE: _disturbance,
+        FRONT_END: _front_end,
     }
     return tried[kind]()
 
@@ -113,3 +118,27 @@ def _disturbance() -> Trial:
         lambda model, n, rng: model.draw(n, rng),
         power,
     )
+
+
+def _front_end() -> Trial:
+    settings = Settings("check", load("smoke").radar, Strategy.POWER_AWARE, dwells=1, rate_hz=0.0)
+
+    def call(make: Callable[[Settings], FrontEnd], asked: Transmission) -> Any:
+        try:
+            front_end = make(settings)
+            try:
+                measured = front_end.transmit(0, 0, asked)
+            finally:
+                front_end.close()
+            return (
+                None
+                if measured is None
+                else scan_message(settings, 0, 0, compared(settings.radar, asked, measured), None)
+            )
+        except Exception as error:
+            raise PluginFailed(f"{type(error).__name__}: {error}") from error
+
+    def everywhere() -> tuple[Any, ...]:
+        return (transmission(settings.radar, None),)
+
+    return Trial((("a dwell of the acquisition", everywhere),), "", call, repeats=False)

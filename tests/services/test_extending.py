@@ -18,7 +18,7 @@ def _saved(folder: Path) -> None:
     (folder / Path(path).name).write_text(text, encoding="utf-8")
 
 
-@pytest.mark.parametrize("kind", [path.stem for path in sorted(TEMPLATES.glob("*.py"))])
+@pytest.mark.parametrize("kind", [path.stem for path in sorted(TEMPLATES.glob("*.py")) if path.stem != "front_end"])
 def test_the_examples_of_the_page_are_the_files_to_begin_with(kind: str) -> None:
     """Which tests/services/test_plugins.py plays."""
     assert f"```python\n{(TEMPLATES / kind).with_suffix('.py').read_text(encoding='utf-8')}```" in PAGE

@@ -23,9 +23,18 @@ def test_each_file_to_begin_with_is_as_it_should_be(kind: str, tmp_path: Path) -
     assert [one for one in found if not one.ok] == []
     assert len({one.name for one in found}) == 1
     assert f"as {kind} mine.py:" in found[0].found
-    assert {one.check for one in found} >= {"answers", "determinism", "random numbers", "arguments", "cost"}
+    repeated = set() if kind == "front-end" else {"determinism"}
+    assert {one.check for one in found} >= {"answers", *repeated, "random numbers", "arguments", "cost"}
     told = {one.found.split()[1] for one in kit.check(str(file)) if one.check == "loads"}
     assert told == {"strategy" if kind == "objective" else kind}  # which look alike
+
+
+def test_a_front_end_that_cannot_be_is_found(tmp_path: Path) -> None:
+    templates.write("front-end", tmp_path / "mine.py")
+    text = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(text.replace("default_rng(7)", "default_rng(7 // 0)"))
+    answers = [one for one in kit.check(f"{tmp_path}/mine.py:Receiver") if one.check == "answers"]
+    assert ["ZeroDivisionError" in one.found and not one.ok for one in answers] == [True]
 
 
 HEAD = "import random\nimport numpy as np\nfrom cogradar.plugins import Choice\n\ncalls = []\n\n\n"
@@ -67,7 +76,7 @@ def test_what_is_no_file_to_be_checked_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(BadInput, match=said):
             kit.check(str(tmp_path / name))
-    with pytest.raises(BadInput, match="must be one of disturbance, objective"):
+    with pytest.raises(BadInput, match="must be one of disturbance, front-end, objective"):
         templates.write("belief", tmp_path / "mine.py")
     templates.write("rule", tmp_path / "mine.py")
     with pytest.raises(BadInput, match="is there already"):
