@@ -101,7 +101,7 @@ def power(base: ArrayLike, exponent: ArrayLike) -> Floats:
     """base^exponent of bases >= 0; broadcasts."""
     bases, exponents = np.broadcast_arrays(np.asarray(base, np.float64), np.asarray(exponent, np.float64))
     found = np.empty(bases.shape)
-    _powers(np.ascontiguousarray(bases).ravel(), np.ascontiguousarray(exponents).ravel(), found.reshape(-1))
+    _powers(bases.flatten(), exponents.flatten(), found.reshape(-1))  # copies: what is broadcast cannot be written to
     return found[()]
 
 
