@@ -31,6 +31,7 @@ from cogradar.services.runs.run import untold
 from cogradar.shared.scenario.files import load
 
 SCALING, CROWD, DECISIONS, TRACKERS, AGENTS = "scale", "crowd", "judged", "trackers", "agents"  # markers in pages
+ACCURACIES = "accuracies"
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -155,6 +156,26 @@ def crowd(into: IntoOption = None, as_json: JsonOption = False) -> None:
         if into:
             page.write(Path(into), CROWD, study.tables(found))
     _show(study.tables(found), study.as_json(found), as_json=as_json)
+
+
+@app.command()
+def accuracies(
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Skies.")] = 5,
+    dwells: DwellsOption = 120,
+    into: IntoOption = None,
+) -> None:
+    """Ask for the accuracy of tracks: in how many dwells they have it, and what it costs the others."""
+    from cogradar.services.analysis.tables import markdown, write_into
+    from studies import accuracies as study
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [ACCURACIES])
+        with _measuring(stop, as_json=False) as tell:
+            found = study.tables(study.measure(range(1, seeds + 1), dwells, tell, stop))
+        if into:
+            write_into(Path(into), {ACCURACIES: [markdown(found[0])]})
+    print_tables(out, found)
 
 
 @app.command()

@@ -85,10 +85,10 @@ def updated(
 
 def expected(radar: RadarConfig, plans: Sequence[Plan], k: int) -> Floats:
     """Where tracks are expected in dwell k: direction and range in km, each with its standard deviation; (M, 4)."""
-    return _places(*_moved(radar, plans, k))
+    return _places(*moved(radar, plans, k))
 
 
-def _moved(radar: RadarConfig, plans: Sequence[Plan], k: int) -> tuple[Floats, Floats]:
+def moved(radar: RadarConfig, plans: Sequence[Plan], k: int) -> tuple[Floats, Floats]:
     """Estimates of tracks and their covariances, as they will be, or were, in dwell k; (M, 4) and (M, 4, 4)."""
     dt = radar.motion.dt_s * (k - np.array([plan.k for plan in plans], np.float64))
     modes = np.array([CERTAINLY_STRAIGHT if plan.modes is None else plan.modes for plan in plans]).reshape(-1, 3)
@@ -154,8 +154,8 @@ def _one_each(
     """
     if len(plans) < 2:
         return list(plans)
-    moved = _moved(radar, plans, k)
-    places = _places(*moved)
+    moments = moved(radar, plans, k)
+    places = _places(*moments)
     near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
     spread_km = SIGMAS * hypot(places[:, 3], places[:, 3, np.newaxis])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
@@ -164,7 +164,7 @@ def _one_each(
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
         bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]
-        if {i, j} & ended or _distance(*(of_both[[i, j]] for of_both in moved)) >= bound:
+        if {i, j} & ended or _distance(*(of_both[[i, j]] for of_both in moments)) >= bound:
             continue
         ended.add(i if plans[j].confirmed and not plans[i].confirmed else j)
     return [plan for i, plan in enumerate(plans) if i not in ended]

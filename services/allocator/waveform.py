@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unchanged
+from cogradar.services.allocator.track_update import TrackUpdate, moved, roster_of, unchanged
 from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.power.rules import Emission, Requests, power_rule
 from cogradar.shared.power.search import search_directions, search_power
+from cogradar.shared.power.wide import affordable, sure_powers
 from cogradar.shared.protocol.messages import Plan, Waveform
 from cogradar.shared.protocol.orders import (
     Order,
     SectorSearch,
+    accuracies,
     is_paused,
     looks,
     of_tracks,
@@ -29,9 +31,11 @@ from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from cogradar.shared.signal.waveform import beam_factor
 from cogradar.shared.tracking.assignment import load_solver
+from cogradar.shared.tracking.belief.across import AIM, echo_gain, needed_zeta
 from cogradar.shared.tracking.motion import predicted_mean
 
 LEAST_WORTH = 0.5  # of a target, as which a track is served, however improbable it is: a look settles it
+LEAST_GAIN = 1e-12
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
 
@@ -78,7 +82,7 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
         unlit = np.full((len(served), 1), np.nan)
         return _message(radar, update, served, _nothing(array.n_tx, array.power, unlit, "acquisition"), None, orders)
     lit = [plan for plan in (_outside_blanked(radar, plan, orders) for plan in served) if plan.bins.size]
-    requests = _requests(radar, lit, priorities(orders)) if lit else None
+    requests = _requests(radar, lit, priorities(orders), _fixed(radar, update, lit, orders)) if lit else None
     searched, powers, roster, power = np.empty(0), np.empty(0), None, 0.0
     if radar.search is not None:
         next_search = update.next_search
@@ -100,7 +104,10 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
         isotropic = array.power if strategy is Strategy.ORTHOGONAL else 0.0
         sent = _nothing(array.n_tx, isotropic, np.empty((0, 1)), "optimal")
     else:
-        sent = power_rule(strategy)(_with_power(radar, array.power - power) if power else radar, requests)
+        left = _with_power(radar, array.power - power) if power else radar
+        if requests.fixed.any():
+            requests = requests._replace(fixed=affordable(radar, requests, left.array.power))
+        sent = power_rule(strategy)(left, requests)
     sent = _with_unlit(sent, [plan.target for plan in lit], served)
     if is_paused(orders):  # beams say what would be asked for, and is not measured; in an acquisition the radar knows
         silent = _nothing(array.n_tx, 0.0, sent.nus, sent.status)
@@ -188,8 +195,27 @@ def _message(
     )
 
 
-def _requests(radar: RadarConfig, plans: Sequence[Plan], weights: Mapping[int, float]) -> Requests:
-    """What the plans of tracks ask for, as arrays; `weights`: priorities of some of the tracks."""
+def _fixed(radar: RadarConfig, update: TrackUpdate, plans: Sequence[Plan], orders: Sequence[Order]) -> dict[int, float]:
+    """Power that tracks need in the next dwell for the accuracy that is asked of them; `plans`: for that dwell.
+
+    At least what finds the target for sure: a miss would cost more.
+    """
+    asked = accuracies(orders)
+    known = {plan.target: plan for plan in update.plans if plan.target in asked}
+    found = {}
+    for plan in plans:
+        if plan.target in known and plan.gate is not None:
+            states, covariances = moved(radar, [known[plan.target]], update.k + 1)
+            zeta = needed_zeta(radar.array.n_rx, (states[0], covariances[0]), AIM * asked[plan.target])
+            needed = zeta / max(echo_gain(radar, plan.gain, plan.gate), LEAST_GAIN)
+            found[plan.target] = max(needed, float(sure_powers(radar, np.array([plan.gain]))[0]))
+    return found
+
+
+def _requests(
+    radar: RadarConfig, plans: Sequence[Plan], weights: Mapping[int, float], powers: Mapping[int, float]
+) -> Requests:
+    """What the plans of tracks ask for, as arrays; of some of them priorities and fixed powers."""
     n, centres = max(plan.bins.size for plan in plans), bin_centres(radar.array.n_bin)
     nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
     for m, plan in enumerate(plans):
@@ -199,7 +225,8 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan], weights: Mapping[int, f
     gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
     reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
     wanted = np.array([weights.get(plan.target, 1.0) for plan in plans])
-    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k, wanted)
+    fixed = np.array([powers.get(plan.target, 0.0) for plan in plans])
+    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k, wanted, fixed)
 
 
 def _worth(plan: Plan) -> float:

@@ -284,7 +284,8 @@ def command_run(
         typer.Argument(
             metavar="ACTION...",
             help="power SHARE; sector blank|normal|double FROM TO; look BEARING DWELLS SHARE; drop TRACK;"
-            " priority TRACK WEIGHT; set strategy|rule|objective VALUE; pause [DWELLS]; resume; or end."
+            " priority TRACK WEIGHT; accuracy TRACK KM|none; set strategy|rule|objective VALUE; pause [DWELLS];"
+            " resume; or end."
             " Bearings are in degrees from boresight, shares are of the array's power.",
         ),
     ],

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cogradar.services.delivery.pacing import ORDER_S, Pacing
-from cogradar.shared.protocol.messages import Command, Refused
+from cogradar.shared.protocol.messages import Command, Plan, Refused
 from cogradar.shared.protocol.orders import (
     MAX_LOOKS,
     MAX_ORDERS,
+    OF_TRACK,
+    Accuracy,
     Action,
     DropTrack,
     EndRun,
@@ -21,16 +23,18 @@ from cogradar.shared.protocol.orders import (
     Resume,
     SectorSearch,
     Setting,
+    accuracies,
     dropped,
     in_force,
     is_over,
     looks,
     of_tracks,
+    power_share,
     searches,
     settings_of,
-    text_of,
     under,
 )
+from cogradar.shared.protocol.words.orders import text_of
 from cogradar.shared.scenario.combinations import check_combination
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
@@ -38,6 +42,7 @@ from cogradar.shared.signal.array import bin_centres
 # Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a pause or its end and for a limit that
 # are to take effect at once, and for whatever is to take effect at once.
 FOR_END, FOR_PAUSES, FOR_LIMITS, FOR_NOW = 1, 16, 15, 8
+NEEDS = {"priority": "priorities", "accuracy": "accuracies"}
 URGENT_COMMANDS = 500  # of all that a run may ever have, for pauses, their ends and limits
 
 
@@ -49,6 +54,7 @@ class Moment:
     acknowledged_k: int
     last_k: int  # dwell, if it goes on to its end
     tracks: Collection[int]  # that are there
+    plans: Mapping[int, Plan]  # newest ones, of those of which one has come
     is_acquiring: bool  # a known number of targets: the dwell after the newest one may wait until it is measured
 
 
@@ -77,7 +83,9 @@ class OrderBook:
             raise Refused(f"{len(kept)} orders are in force or pending; this one must be among the first {most}")
         if at.is_acquiring and self._pacing.loses_dwells and order.k == first_k:
             _check_still(order.action)
-        self._check(order, at.tracks, is_later=command.at > 0)
+        self._check(order, at, is_later=command.at > 0)
+        if isinstance(order.action, Accuracy) and command.at < first_k:  # of later dwells nothing is known
+            self._check_accuracy(order.action, order.k, at.plans)
         self.orders = [*kept, order]
         return order, replaced
 
@@ -97,21 +105,31 @@ class OrderBook:
                 return False
             case DropTrack():
                 return order.k <= known_k and not dropped([order], k, born_ks)
-            case Priority() if self._radar.is_unknown and order.k <= known_k and not of_tracks([order], born_ks):
+            case Priority() | Accuracy() if (
+                self._radar.is_unknown and order.k <= known_k and not of_tracks([order], born_ks)
+            ):
                 return True
             case _:
                 return is_over(order, self.orders, k)
 
-    def _check(self, order: Order, tracks: Collection[int], *, is_later: bool) -> None:
+    def _check(self, order: Order, at: Moment, *, is_later: bool) -> None:
         """Raises Refused for an order that makes no sense; one for later may be of a track that is still to come."""
         match order.action:
             case PowerLimit() | Pause() | Resume() | EndRun():
                 pass
             case DropTrack():
                 self._needs_roster(order.action)
-                self._needs_track(order.action, tracks, is_later=is_later)
+                self._needs_track(order.action, at.tracks, is_later=is_later)
             case Priority():
-                self._needs_track(order.action, tracks, is_later=is_later)
+                self._needs_track(order.action, at.tracks, is_later=is_later)
+                self._check_together(order)
+            case Accuracy():
+                self._needs_track(order.action, at.tracks, is_later=is_later)
+                if self._radar.belief.filter != "gaussian":
+                    raise Refused(
+                        "accuracy: only where directions and ranges are measured and beliefs are Gaussians"
+                        ' (radar.belief.filter = "gaussian")'
+                    )
                 self._check_together(order)
             case Look() | SectorSearch():
                 self._needs_roster(order.action)
@@ -125,7 +143,18 @@ class OrderBook:
         if not self._radar.is_unknown:
             raise Refused(f"{action.kind}: only where the number of targets is unknown (radar.tracks)")
 
-    def _needs_track(self, action: DropTrack | Priority, tracks: Collection[int], *, is_later: bool) -> None:
+    def _check_accuracy(self, action: Accuracy, k: int, plans: Mapping[int, Plan]) -> None:
+        """Raises Refused if all the power there is cannot do it."""
+        if action.km is None:
+            return
+        from cogradar.services.delivery.accuracy import check_accuracies  # a second of import, for those who ask
+
+        there = in_force(self.orders, k)
+        radar, strategy = under(self._radar, self._strategy, settings_of(there))
+        asked = accuracies(there) | {action.track: action.km}
+        check_accuracies(radar, strategy, power_share(there), asked, action.track, plans)
+
+    def _needs_track(self, action: DropTrack | Priority | Accuracy, tracks: Collection[int], *, is_later: bool) -> None:
         announced = self._radar.announced
         is_there = is_later or action.track in tracks if self._radar.is_unknown else action.track < announced
         if not is_there:
@@ -155,10 +184,11 @@ class OrderBook:
             check_combination(radar.model_dump())
         except ValueError as error:
             raise Refused(f"in dwell {k}: {error}") from None
-        wanted = [order.action for order in there if isinstance(order.action, Priority)]
+        wanted = [order.action for order in there if isinstance(order.action, OF_TRACK)]
         if wanted and strategy is not Strategy.POWER_AWARE:
             raise Refused(
-                f'in dwell {k} the strategy is "{strategy}", which knows no priorities such as `{text_of(wanted[0])}`:'
+                f'in dwell {k} the strategy is "{strategy}", which knows no {NEEDS[wanted[0].kind]} such as'
+                f" `{text_of(wanted[0])}`:"
                 ' only "power-aware" gives tracks the power that they need'
             )
         is_everywhere = strategy is Strategy.ORTHOGONAL or (
@@ -186,7 +216,11 @@ def _is_replaced(pending: Order, new: Order) -> bool:
     match new.action, pending.action:
         case (PowerLimit(), PowerLimit()) | (Pause() | Resume(), Pause() | Resume()):
             return True
-        case (Setting(key=one), Setting(key=other)) | (Priority(track=one), Priority(track=other)):
+        case (
+            (Setting(key=one), Setting(key=other))
+            | (Priority(track=one), Priority(track=other))
+            | (Accuracy(track=one), Accuracy(track=other))
+        ):
             return one == other
         case SectorSearch() as sector, SectorSearch() as earlier:
             return sector.contains(earlier)

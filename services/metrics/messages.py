@@ -13,9 +13,11 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import order_of
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
-from cogradar.shared.protocol.orders import Look, Order, Priority, SectorSearch, Setting, in_force, text_of
+from cogradar.shared.protocol.orders import OF_TRACK, Accuracy, Look, Order, SectorSearch, Setting, in_force
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.protocol.words.orders import text_of
 from cogradar.shared.scenario.faults import printable
+from cogradar.shared.signal.array import across_km
 from cogradar.shared.wire.codec import fields
 
 TOPICS = tuple(BY_MESSAGE[message].name for message in (Scan, Truth, Plan, Waveform))
@@ -125,8 +127,12 @@ def _rows(store: Store, run: Run, condition: str = "1", values: Sequence[str] = 
         return []
     (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
     k = -1 if newest["k"] is None else newest["k"]
-    missing = _missing(store, run["run"], k) if run["status"] == "running" else set[int]()
-    return [_row(run, row, k, is_missing=row["n"] in missing) for row in rows]
+    missing, unmet = set[int](), dict[int, str]()
+    if run["status"] == "running":
+        asked = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
+        there = in_force([_order(run["run"], row) for row in store.read(asked, [run["run"], k])], k)
+        missing, unmet = _missing(store, run["run"], k, there), _unmet(store, run["run"], k, there)
+    return [_row(run, row, k, unmet, is_missing=row["n"] in missing) for row in rows]
 
 
 def _order(run: str, row: Run) -> Order:
@@ -138,7 +144,7 @@ def _order(run: str, row: Run) -> Order:
         raise BadInput(printable(f"run = {run!r}: command {row['n']} cannot be read: {what}")) from None
 
 
-def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> dict[str, Any]:
+def _row(run: Run, row: dict[str, Any], newest_k: int, unmet: Mapping[int, str], *, is_missing: bool) -> dict[str, Any]:
     is_over = row.pop("over_k") is not None or run["status"] != "running"
     if row["k"] is None or is_over:
         state = "refused" if row["k"] is None else "over"
@@ -146,26 +152,46 @@ def _row(run: Run, row: dict[str, Any], newest_k: int, *, is_missing: bool) -> d
         state = "pending"
     else:
         state = "awaits the allocator" if is_missing else "in force"
+        if row["n"] in unmet and not is_missing:
+            state, row["reason"] = "not met", unmet[row["n"]]
     action = _order(run["run"], {"n": row["n"], "k": 0, "action": row["action"]}).action
     t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
     return row | {"t": t, "action": text_of(action), "state": state}
 
 
-def _missing(store: Store, run: str, newest_k: int) -> set[int]:
-    """Numbers of orders of the newest dwell that change its beams and that its waveform, the newest, does not obey.
+def _missing(store: Store, run: str, newest_k: int, there: Sequence[Order]) -> set[int]:
+    """Numbers of orders in force in the newest dwell that change its beams, and that the newest waveform does not obey.
 
     In real time the front end goes on with an old waveform while the allocator is away. Limits it knows itself.
     """
-    query = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
-    orders = [_order(run, row) for row in store.read(query, [run, newest_k])]
-    kinds = SectorSearch | Look | Priority | Setting
-    asked = {order.n for order in in_force(orders, newest_k) if isinstance(order.action, kinds)}
+    asked = {order.n for order in there if isinstance(order.action, SectorSearch | Look | OF_TRACK | Setting)}
     if not asked:
         return asked
-    newest = store.read(
-        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = 'waveform'"
-        " ORDER BY k DESC LIMIT 1",
-        [run, newest_k - NEWEST_DWELLS, newest_k],
-    )
-    obeyed = fields(newest[0]["payload"]).get("orders") if newest else None
+    newest = _newest(store, run, "waveform", 0, newest_k)
+    obeyed = newest.get("orders") if newest else None
     return asked - set([] if obeyed is None else obeyed.tolist())
+
+
+def _unmet(store: Store, run: str, newest_k: int, there: Sequence[Order]) -> dict[int, str]:
+    """Number of each order in force for an accuracy that its track's newest plan lacks, and what it has instead."""
+    found = {}
+    for order in there:
+        if not isinstance(order.action, Accuracy) or order.action.km is None:
+            continue
+        plan = _newest(store, run, "plan", order.action.track + 1, newest_k)
+        if plan and plan["status"] == "tracking":
+            plane = "plane_" if plan.get("plane_estimate") is not None else ""
+            km = across_km(plan[f"{plane}estimate"], plan[f"{plane}covariance"])
+            if km > order.action.km:
+                found[order.n] = f"known to {km:.3g} km across the line of sight in dwell {plan['k']}"
+    return found
+
+
+def _newest(store: Store, run: str, topic: str, item: int, newest_k: int) -> dict[str, Any] | None:
+    """The newest message of a topic, of a track if there is one for each, unless it is old."""
+    rows = store.read(
+        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = ? AND item = ?"
+        " ORDER BY k DESC LIMIT 1",
+        [run, newest_k - NEWEST_DWELLS, newest_k, topic, item],
+    )
+    return fields(rows[0]["payload"]) if rows else None

@@ -31,9 +31,10 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from cogradar.shared.protocol.orders import in_force, text_of
+from cogradar.shared.protocol.orders import in_force
 from cogradar.shared.protocol.recovery import NoPlans, NoWaveforms, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.protocol.words.orders import text_of
 from cogradar.shared.wire.codec import BadMessage, decode, encode
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,

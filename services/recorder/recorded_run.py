@@ -70,6 +70,7 @@ class RecordedRun:
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell
+        self._plans: dict[int, Plan] = {}  # newest of each track that is there
         self.end: RunEnd | None = None
         self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
@@ -142,6 +143,8 @@ class RecordedRun:
                 dwell.has_waveform = True
             case Plan():
                 dwell.plans.add(message.target)
+                if message.target not in self._plans or message.k > self._plans[message.target].k:
+                    self._plans[message.target] = message
                 self._overdue_plans.hear_plan(message.k, message.target)
 
     def grant(self, command: Command, n: int) -> tuple[Order, list[Order]]:
@@ -156,7 +159,7 @@ class RecordedRun:
         t = self.t if newest is None else self._dwells[newest].t
         is_acquiring = t == 0 and not self._radar.is_unknown
         newest_k = newest if newest is not None else self.k - is_acquiring
-        at = Moment(newest_k, self.acknowledged[0], self.k + left - 1, tracks, is_acquiring)
+        at = Moment(newest_k, self.acknowledged[0], self.k + left - 1, tracks, self._plans, is_acquiring)
         return self.orders.grant(command, n, at)
 
     def validate(self, journalled: tuple[int, ...]) -> None:
@@ -181,6 +184,7 @@ class RecordedRun:
         dwell = self._dwells.pop(self.k, None)
         if dwell is not None and dwell.t is not None:
             self.t, self.tracks, self.born_ks, self.known_k = dwell.t, dwell.tracks, dwell.born_ks, self.k
+            self._plans = {m: plan for m, plan in self._plans.items() if m in dwell.tracks or plan.k > self.k}
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)

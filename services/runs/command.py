@@ -16,9 +16,9 @@ from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
 from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S
 from cogradar.shared.protocol.messages import Command
-from cogradar.shared.protocol.orders import parsed
 from cogradar.shared.protocol.permissions import COMMANDER
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.protocol.words.orders import parsed
 from cogradar.shared.scenario.faults import explain
 from cogradar.shared.wire.queries import NoAnswer, ask
 from cogradar.shared.wire.session import Session, open_session

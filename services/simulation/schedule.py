@@ -14,6 +14,7 @@ import numpy as np
 from cogradar.services.delivery.pacing import Pacing, pacing_at
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.orders import (
+    Accuracy,
     Action,
     DropTrack,
     EndRun,
@@ -194,6 +195,7 @@ class Schedule:
         if self.sky == "known":
             actions += [Setting(key="rule", value="mode"), Setting(key="rule", value="mean")]
         if self.sky == "unknown":
+            actions += [Accuracy(track=m, km=km) for m in tracks for km in (0.05, 1.0, None)]
             actions += [DropTrack(track=m) for m in tracks]
             actions += [SectorSearch(from_deg=-90, to_deg=0, search="blank"), Look(bearing_deg=20, dwells=2, share=0.3)]
             actions += [SectorSearch(from_deg=-20, to_deg=90, search="double")]

@@ -12,9 +12,9 @@ from cogradar.shared.protocol.orders import (
     MAX_LOOKS,
     MAX_PAUSE_DWELLS,
     PRIORITIES,
-    forms,
 )
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.protocol.words.orders import forms
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.figures import Figures

@@ -47,14 +47,21 @@ def emitted(
     """
     array = radar.array
     shares = np.zeros(requests.chances.shape)
+    shares[:, 0] = np.where(is_open[:, 0], requests.fixed, 0.0)
+    is_fixed = shares[:, 0] > 0.0
+    given = None if given is None or is_fixed[given.track] else given
     pays = requests.chances > LEAST_CHANCE
     pays[:, 0] = True
-    rows, columns = np.nonzero(pays & is_open)
-    left = array.power - (0.0 if given is None else given.power)
-    times = wanted(radar, requests)
-    worths = worths * (requests.priorities * times)[:, np.newaxis]  # of power: by the priority
-    bought = most_detections(_curve(radar), worths[rows, columns], (requests.gains / times)[rows], left)
-    shares[rows, columns] = bought.powers
+    rows, columns = np.nonzero(pays & is_open & ~is_fixed[:, np.newaxis])
+    left = array.power - shares.sum() - (0.0 if given is None else given.power)
+    is_optimal = True
+    if rows.size:
+        times = wanted(radar, requests)
+        worths = worths * (requests.priorities * times)[:, np.newaxis]  # of power: by the priority
+        bought = most_detections(_curve(radar), worths[rows, columns], (requests.gains / times)[rows], left)
+        shares[rows, columns], is_optimal = bought.powers, bought.is_optimal
+    else:  # all have what they asked for
+        shares *= array.power / shares.sum()
     if given is not None:
         shares[given.track, given.column] += given.power
     order = np.argsort(-shares, axis=1, kind="stable")
@@ -63,7 +70,7 @@ def emitted(
     nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
     n = max(int(is_lit.sum(axis=1).max()), 1)  # the search may have taken all power: then no cell is lit
     factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
-    status = "optimal" if bought.is_optimal else "inaccurate"
+    status = "optimal" if is_optimal else "inaccurate"
     sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
     return widened(radar, requests, sent)
 

@@ -29,7 +29,7 @@ STATUSES = ("fixed", "optimal", "inaccurate")
 TOLERANCE = 1e-6  # of the power, relative
 
 
-_NOWHERE, _NOBODY, _ALIKE = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.ones(1)
+_NOWHERE, _NOBODY, _ALIKE, _FREE = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.ones(1), np.zeros(1)
 
 
 class Requests(NamedTuple):
@@ -44,6 +44,7 @@ class Requests(NamedTuple):
     astray: NDArray[np.bool_] = _NOBODY  # (M,) its misses are improbable
     k: int = 0  # dwell of the plans
     priorities: Floats = _ALIKE  # (M,) > 0, how many times the signal-to-noise ratio is wanted; (1,): of all alike
+    fixed: Floats = _FREE  # (M,) power of the first cell, if that was asked for; 0: what is best; (1,): so of all
 
     @classmethod
     def of_single(cls, nus: Floats, ranges_km: Floats, gains: Floats) -> Self:
@@ -54,6 +55,17 @@ class Requests(NamedTuple):
     def weights(self) -> Floats:
         """Expected echo power 1/R^4 of each track over what is wanted of it, (M,); only ratios matter."""
         return np.asarray(power(self.ranges_km, -4.0) / self.priorities)
+
+    def with_fixed(self, weights: Floats, power: float) -> Floats:
+        """Weights, (M,), with which max-min gives tracks their fixed power of all of it, or more.
+
+        Beams that are orthogonal share the power as 1 / weight, and others add to one another's echoes.
+        """
+        is_fixed = np.broadcast_to(self.fixed > 0.0, weights.shape)
+        if not is_fixed.any():
+            return weights
+        rest = 1.0 if is_fixed.all() else (power - self.fixed.sum()) / (1.0 / weights[~is_fixed]).sum()
+        return np.where(is_fixed, rest / np.where(is_fixed, self.fixed, 1.0), weights)
 
 
 class Emission(NamedTuple):
@@ -146,6 +158,7 @@ def max_min(radar: RadarConfig, requests: Requests) -> Emission:
     """The max-min optimum over the tracks' first cells; of gains, where no range tells how strong an echo is."""
     array, nus = radar.array, requests.nus[:, 0]
     weights = requests.gains / requests.priorities if radar.assumes.rcs == "unknown" else requests.weights
+    weights = requests.with_fixed(weights, array.power)
     found = _solver(radar.allocation, nus.size)(nus, weights, array.power, array.n_tx)
     return Emission(0.0, found.factor, requests.nus[:, :1], found.shares[:, np.newaxis], found.status)
 

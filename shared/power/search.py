@@ -83,6 +83,13 @@ def _stride(n_bin: int) -> int:
     return min((step for step in range(1, n_bin + 1) if gcd(step, n_bin) == 1), key=lambda step: abs(step - wanted))
 
 
+def most_for_tracks(radar: RadarConfig) -> float:
+    """Power that all tracks together can have."""
+    if radar.search is None:
+        return radar.array.power
+    return radar.array.power * (1.0 - (LEAST_SHARE if radar.search.share == "auto" else float(radar.search.share)))
+
+
 def search_power(radar: RadarConfig, search: SearchSection, requests: Requests | None) -> float:
     """Power of the search: its share, or what tracks do not need to be found for sure; all of it without any track.
 
@@ -93,6 +100,7 @@ def search_power(radar: RadarConfig, search: SearchSection, requests: Requests |
         return power
     if search.share != "auto":
         return float(search.share) * power
-    gains = requests.gains / wanted(radar, requests)
-    needed = KEPT * float((sure_powers(radar, gains) * (requests.chances.sum(axis=1) > 0.0)).sum())
+    kept = KEPT * sure_powers(radar, requests.gains / wanted(radar, requests))
+    kept = np.where(requests.fixed > 0.0, requests.fixed, kept)
+    needed = float((kept * (requests.chances.sum(axis=1) > 0.0)).sum())
     return max(power - needed, LEAST_SHARE * power)

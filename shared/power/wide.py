@@ -24,6 +24,7 @@ Bools = NDArray[np.bool_]
 NEARLY_SURE = 3.0  # in sqrt zeta, above sqrt lambda: P_D is 0.999
 KEPT = 2.0  # a beam keeps this multiple of the sure power, whatever is taken
 CALM, ASTRAY = 0.03, 0.5  # shares of what is spare
+LEAST_FIXED = 0.5  # of the power of all tracks, for those that ask for a fixed one
 _LEAST_GAIN = 1e-12
 _APART = 0.75  # of a cell: what is nearer to a lit one is no further cell
 
@@ -44,6 +45,32 @@ def wanted(radar: RadarConfig, requests: Requests) -> Floats:
     return np.asarray(np.maximum(np.minimum(requests.priorities, most), 1.0))
 
 
+def affordable(radar: RadarConfig, requests: Requests, power: float) -> Floats:
+    """The fixed powers of tracks, (M,), of so much for all of them; each is as asked for, or at the most there is.
+
+    They have what other tracks need not have to be found for sure, at least half of the power.
+    """
+    fixed = np.broadcast_to(requests.fixed, requests.gains.shape)
+    sure = sure_powers(radar, requests.gains) * (requests.chances.sum(axis=1) > 0.0)
+    return levelled(fixed, most_fixed(power, float(sure[fixed == 0.0].sum())))
+
+
+def most_fixed(power: float, needed: float) -> float:
+    """Power for tracks that ask for a fixed one, where others need so much to be found for sure."""
+    return max(power - needed, LEAST_FIXED * power)
+
+
+def levelled(asked: Floats, most: float) -> Floats:
+    """Powers, (M,), that sum to `most` at most: the greatest are made equal, so that as many as can be are as asked."""
+    level, left, n = np.inf, most, asked.size
+    for one in np.sort(asked).tolist():
+        if one * n > left:
+            level = left / n
+            break
+        left, n = left - one, n - 1
+    return np.minimum(asked, level)
+
+
 def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
     """What is sent with further cells for tracks that ask for them; as it is if there is no power for any.
 
@@ -53,7 +80,7 @@ def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
     if not requests.reaches.any():
         return sent
     sure = sure_powers(radar, requests.gains / wanted(radar, requests))
-    spare = np.maximum(sent.shares - KEPT * sure[:, np.newaxis], 0.0)
+    spare = np.maximum(sent.shares - np.maximum(KEPT * sure, requests.fixed)[:, np.newaxis], 0.0)
     nus, distances = _beside(radar, sent.nus)
     is_near = (distances <= requests.reaches[:, np.newaxis] + _APART) & (sent.shares[:, :1] >= sure[:, np.newaxis])
     costs = np.where(is_near, sure[:, np.newaxis], np.inf)

@@ -1,7 +1,5 @@
 """Commands to a running radar: what each may ask for, and which orders are in force in a dwell.
 
-People write an action as words or as a document, in which tracks count from 1.
-
 An order is a command that the recorder has granted, with the first dwell that is radiated under it. What is in force in
 a dwell is a function of the orders and of that dwell alone: orders that are over may be left out of the list.
 """
@@ -12,11 +10,10 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from cogradar.shared.protocol.fields import Index
 from cogradar.shared.protocol.roster import Compared
-from cogradar.shared.scenario.faults import explain
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.scenario.tables import BIN_RULES, OBJECTIVES, POWER_RULES
 
@@ -26,6 +23,7 @@ LEAST_POWER = 0.01
 MAX_LOOK_DWELLS = 100_000
 MAX_PAUSE_DWELLS = 2**31 - 1
 PRIORITIES = (0.1, 10.0)  # the least and the most
+ACCURACIES_KM = (1e-3, 100.0)
 SETTINGS = {"strategy": tuple(POWER_RULES), "rule": tuple(BIN_RULES), "objective": tuple(OBJECTIVES)}
 Bearing = Annotated[float, Field(ge=-90.0, le=90.0)]  # degrees from boresight, to the side of positive y
 
@@ -110,6 +108,17 @@ class Priority(Compared):
     weight: Annotated[float, Field(ge=PRIORITIES[0], le=PRIORITIES[1])]
 
 
+class Accuracy(Compared):
+    """Know a track's place across the line of sight to this standard deviation in km, until it is asked again.
+
+    It has the power that this takes, no more and no less, as long as there is so much. The order ends with its track.
+    """
+
+    kind: Literal["accuracy"] = "accuracy"
+    track: Index
+    km: Annotated[float, Field(ge=ACCURACIES_KM[0], le=ACCURACIES_KM[1])] | None  # None: as without the order
+
+
 class Setting(Compared):
     """Set the run's strategy, the radar's rule of looking, or its objective of allocation, until it is set again."""
 
@@ -143,8 +152,10 @@ class EndRun(Compared):
     kind: Literal["end"] = "end"
 
 
+OF_TRACK = Priority | Accuracy  # orders that end with their track
+
 Action = Annotated[
-    PowerLimit | SectorSearch | Look | DropTrack | Priority | Setting | Pause | Resume | EndRun,
+    PowerLimit | SectorSearch | Look | DropTrack | Priority | Accuracy | Setting | Pause | Resume | EndRun,
     Field(discriminator="kind"),
 ]
 
@@ -164,21 +175,28 @@ Settings = Annotated[list[Setting], Field(min_length=1, max_length=len(SETTINGS)
 def in_force(orders: Iterable[Order], k: int) -> list[Order]:
     """What shapes dwell k, in the order in which it took effect; neither drops nor the end of the run.
 
-    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, a priority
-    that of the same track, and a sector those that it contains. What is replaced for good, and what changes nothing, is
-    not in force. A priority may be of a track that is not there (`of_tracks`).
+    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, a priority or
+    an accuracy that of the same track, and a sector those that it contains. What is replaced for good, and what changes
+    nothing, is not in force. A priority or an accuracy may be of a track that is not there (`of_tracks`).
     """
     begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
     limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
     looks = [order for order in begun if isinstance(order.action, Look) and k < order.k + order.action.dwells]
     pauses = [order for order in begun if isinstance(order.action, Pause | Resume)][-1:]
     settings = {order.action.key: order for order in begun if isinstance(order.action, Setting)}
-    wanted = {order.action.track: order for order in begun if isinstance(order.action, Priority)}
+    wanted = {(order.action.kind, order.action.track): order for order in begun if isinstance(order.action, OF_TRACK)}
     found = {order.n for order in [*looks, *settings.values(), *_sectors(begun)]}
-    found |= {order.n for order in wanted.values() if isinstance(order.action, Priority) and order.action.weight != 1.0}
+    found |= {order.n for order in wanted.values() if not _withdraws(order.action)}
     found |= {order.n for order in pauses if isinstance(order.action, Pause) and _lasts(order, order.action, k)}
     found |= {order.n for order in limits if isinstance(order.action, PowerLimit) and order.action.share < 1.0}
     return [order for order in begun if order.n in found]
+
+
+def _withdraws(action: Action) -> bool:
+    """Whether a track is asked for as without orders."""
+    return (isinstance(action, Priority) and action.weight == 1.0) or (
+        isinstance(action, Accuracy) and action.km is None
+    )
 
 
 def _lasts(order: Order, pause: Pause, k: int) -> bool:
@@ -209,7 +227,7 @@ def power_share(orders: Iterable[Order]) -> float:
 
 
 def of_tracks(orders: Iterable[Order], born_ks: Mapping[int, int] | None) -> list[Order]:
-    """Orders without those priorities whose track is not there, or was not in the roster of the dwell before theirs.
+    """Orders without those of tracks that are not there, or were not in the roster of the dwell before the order's.
 
     Like a drop: who still knows the order when a later track begins must not matter.
 
@@ -218,7 +236,7 @@ def of_tracks(orders: Iterable[Order], born_ks: Mapping[int, int] | None) -> lis
     return [
         order
         for order in orders
-        if born_ks is None or not isinstance(order.action, Priority) or _was_there(order, order.action.track, born_ks)
+        if born_ks is None or not isinstance(order.action, OF_TRACK) or _was_there(order, order.action.track, born_ks)
     ]
 
 
@@ -230,6 +248,12 @@ def _was_there(order: Order, track: int, born_ks: Mapping[int, int]) -> bool:
 def priorities(orders: Iterable[Order]) -> dict[int, float]:
     """How many times the signal-to-noise ratio is wanted of a track, by orders in force; 1 of those that it lacks."""
     return {order.action.track: order.action.weight for order in orders if isinstance(order.action, Priority)}
+
+
+def accuracies(orders: Iterable[Order]) -> dict[int, float]:
+    """To how many km tracks are to be known across the line of sight, by orders in force."""
+    asked = [order.action for order in orders if isinstance(order.action, Accuracy)]
+    return {action.track: action.km for action in asked if action.km is not None}
 
 
 def settings_of(orders: Iterable[Order]) -> list[Setting] | None:
@@ -306,80 +330,3 @@ def dropped(orders: Iterable[Order], k: int, born_ks: Mapping[int, int]) -> dict
 def ends(orders: Iterable[Order], k: int) -> bool:
     """Whether the run ends before dwell k."""
     return any(isinstance(order.action, EndRun) and order.k <= k for order in orders)
-
-
-def text_of(action: Action) -> str:
-    """An action as `cogradar command` takes it."""
-    _, _, names = FORMS[action.kind]
-    told = [(name, getattr(action, name)) for name in names]
-    return " ".join([action.kind, *(_word(name, value) for name, value in told if value is not None)])
-
-
-def _word(name: str, value: str | float) -> str:
-    if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
-    return f"{int(value) + 1}" if name == "track" else f"{value}"
-
-
-# Of each kind: how it is written, and the fields of what is written, a number each but for WORDS. What stands in
-# brackets may be left out.
-_Kind = type[PowerLimit | SectorSearch | Look | DropTrack | Priority | Setting | Pause | Resume | EndRun]
-FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
-    "power": (PowerLimit, "power SHARE", ("share",)),
-    "sector": (SectorSearch, "sector blank|normal|double FROM TO", ("search", "from_deg", "to_deg")),
-    "look": (Look, "look BEARING DWELLS SHARE", ("bearing_deg", "dwells", "share")),
-    "drop": (DropTrack, "drop TRACK", ("track",)),
-    "priority": (Priority, "priority TRACK WEIGHT", ("track", "weight")),
-    "set": (Setting, "set strategy|rule|objective VALUE", ("key", "value")),
-    "pause": (Pause, "pause [DWELLS]", ("dwells",)),
-    "resume": (Resume, "resume", ()),
-    "end": (EndRun, "end", ()),
-}
-
-
-WORDS = {"search", "key", "value"}
-
-
-def forms() -> list[str]:
-    """How each kind of action is written."""
-    return [form for _, form, _ in FORMS.values()]
-
-
-def parsed(words: Sequence[str]) -> Action:
-    """The action that these words are. Raises ValueError."""
-    kind, values = (words[0], words[1:]) if words else ("", ())
-    _, form, names = _form(kind)
-    if not len(names) - form.count("[") <= len(values) <= len(names):
-        raise ValueError(f"{' '.join(words)}: must be {form}")
-    return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=False)})
-
-
-def action_of(document: dict[str, Any]) -> Action:
-    """The action of a document in which tracks count from 1. Raises ValueError."""
-    model, _, _ = _form(document.get("kind"))
-    track = document.get("track")
-    if isinstance(track, int) and not isinstance(track, bool):
-        if track < 1:
-            raise ValueError(f"track = {track}: must be >= 1")
-        document = document | {"track": track - 1}
-    try:
-        return model.model_validate(document)
-    except ValidationError as error:
-        raise ValueError(explain(error, model)) from None
-
-
-def _form(kind: object) -> tuple[_Kind, str, tuple[str, ...]]:
-    """What a kind of action is made of. Raises ValueError."""
-    if not isinstance(kind, str) or kind not in FORMS:
-        raise ValueError(f"action = {str(kind)[:40]!r}: must be one of {'; '.join(forms())}")
-    return FORMS[kind]
-
-
-def _value(name: str, text: str) -> str | int | float:
-    """A number where one is wanted. Raises ValueError."""
-    if name in WORDS:
-        return text
-    try:
-        return int(text) if name in {"track", "dwells"} else float(text)
-    except ValueError:
-        raise ValueError(f"{name} = {text}: must be a number") from None

@@ -4,6 +4,8 @@ Symbols: nu = 0.5 sin(theta) spatial frequency of direction theta from boresight
 half-wavelength uniform linear array; x boresight, y along the array.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +17,7 @@ from cogradar.shared.numerics.quadrature import gauss_legendre
 KEPT_LOOKS = 16
 _ELEVATIONS, _SHARES = gauss_legendre(8)
 _LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is known of x
+_NEAR_KM = 1e-3  # keeps a direction finite
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
 
@@ -96,3 +99,12 @@ def apart(nu: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:
     """Index of the bin whose centre is nearest to nu, 0 .. n_bin-1; (...) -> (...)."""
     return np.floor((np.asarray(nu) + 0.5) * (n_bin - 1) + 0.5).astype(np.int64)
+
+
+def across_km(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """Standard deviation of a place across the line of sight, km; of mean (4,) and covariance (4, 4) of its state."""
+    x, y = float(mean[0]), float(mean[2])
+    range_km = max(math.hypot(x, y), _NEAR_KM)
+    c, s = x / range_km, y / range_km
+    xx, xy, yy = covariance[0, 0], covariance[0, 2], covariance[2, 2]
+    return math.sqrt(max(float(s * s * xx - 2.0 * c * s * xy + c * c * yy), 0.0))

@@ -37,6 +37,8 @@ export class Command {
     byId("look-aim").addEventListener("click", () => this.turn("look"));
     byId("look-send").addEventListener("click", () => this.look());
     byId("priority-set").addEventListener("click", () => this.send(`priority ${view.target} ${value("priority")}`));
+    byId("accuracy-set").addEventListener("click", () => this.send(`accuracy ${view.target} ${value("accuracy")}`));
+    byId("accuracy-none").addEventListener("click", () => this.send(`accuracy ${view.target} none`));
     byId("drop").addEventListener("click", () => this.send(`drop ${view.target}`));
     byId("end").addEventListener("click", () => this.send("end"));
     byId("end-dialog").addEventListener("close", ({ target }) => {
@@ -67,7 +69,7 @@ export class Command {
     put(byId("command-title"), view.run === null ? "Command" : `Command ${view.run}`);
     const drop = byId("drop");
     drop.disabled = view.target === null;
-    byId("priority-set").disabled = view.target === null;
+    for (const id of ["priority-set", "accuracy-set", "accuracy-none"]) byId(id).disabled = view.target === null;
     put(byId("track-title"), view.target === null ? "Chosen track" : `Track ${view.target}`);
     put(drop, view.target === null ? "Drop the chosen track" : `Drop track ${view.target}`);
     if (this.token && !this.panel.hidden) this.describe();

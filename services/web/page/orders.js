@@ -60,14 +60,14 @@ export class Orders {
   }
 
   draw(rows) {
-    const key = JSON.stringify(rows.map(({ n, state, t }) => [n, state, t]));
+    const key = JSON.stringify(rows.map(({ n, state, t, reason }) => [n, state, t, reason]));
     if (key === this.key) return; // a list that is read aloud says what is new
     this.key = key;
     this.list.hidden = !rows.length;
     this.list.replaceChildren(...rows.map((row) => {
       const item = make("li", row.state === "in force" ? "" : "pending");
       const since = `${row.state === "pending" ? "from" : "since"} dwell ${row.t ?? "–"}`;
-      const awaits = row.state === "awaits the allocator" ? `, ${row.state}` : "";
+      const awaits = { "awaits the allocator": `, ${row.state}`, "not met": `, not met: ${row.reason}` }[row.state] ?? "";
       item.append(make("b", "", row.action), ` ${since}, ${row.by}${awaits}`);
       return item;
     }));

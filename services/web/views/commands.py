@@ -19,7 +19,7 @@ from cogradar.services.web.parameters import shown_token
 from cogradar.services.web.problem_documents import Problem, bad
 from cogradar.services.web.run_answers import core_of, run_of, scored
 from cogradar.shared.protocol.messages import Command
-from cogradar.shared.protocol.orders import action_of, parsed
+from cogradar.shared.protocol.words.orders import action_of, parsed
 
 WITHIN_S = 5.0
 POLL_S = 0.05

@@ -118,6 +118,16 @@ def condition(model: TrackerModel, predicted: GaussianMixture, looks: Looks) -> 
     return GaussianMixture(*left), evidence
 
 
+def found_as_expected(model: TrackerModel, belief: GaussianMixture, place: Floats, nu_sigma: float) -> GaussianMixture:
+    """The belief a dwell later if its target was detected right where it was expected, moved to `place`, (2,) km."""
+    cell_km, ahead = model.response.range_cell_km, belief.ahead(model)
+    nu, range_km, _ = _direction(_merged(*ahead)[0])
+    measured = np.array([nu, nu_sigma, range_km, cell_km])
+    weights, means, covariances, _ = _detected(*ahead, measured, 0.0, model.acquisition.v_max_km_s, model.is_mixture)
+    means[:, :4:2] += place - _merged(weights, means, covariances)[0][:4:2]
+    return GaussianMixture(weights, means, covariances)
+
+
 def _measured(hit: Looks) -> tuple[float, float]:
     """Direction of a detection and its standard deviation; the direction of the look if none was measured."""
     if hit.nu_sigma > 0.0:

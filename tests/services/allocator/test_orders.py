@@ -10,6 +10,7 @@ from cogradar.services.delivery import pacing
 from cogradar.services.emulator.cycle import limited, transmission
 from cogradar.shared.protocol.messages import Message, RunEnd, RunStart, Scan, Waveform
 from cogradar.shared.protocol.orders import (
+    Accuracy,
     Action,
     DropTrack,
     EndRun,
@@ -22,7 +23,7 @@ from cogradar.shared.protocol.orders import (
     nu_of,
 )
 from cogradar.shared.protocol.roster import Roster
-from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.array import across_km, bin_centres
 from cogradar.shared.signal.waveform import beampattern
 from tests.services.loop import checkpoint, plans, scans, smoke_start, waveforms
 from tests.services.loop import play as played
@@ -150,13 +151,34 @@ def test_a_priority_multiplies_what_is_wanted_of_its_track_from_its_dwell_on(
     assert [one.k + 1 for one in after if one.orders is not None] == list(range(K, last + 2))
 
 
+def test_an_accuracy_is_kept_and_takes_or_gives_back_what_that_needs() -> None:
+    """In 18 of 19 dwells after it has settled; where power is left over others have it."""
+    start, first = sky_start(BEAMS, dwells=30), 0
+    undisturbed = played(start)
+    usual = [across_km(*plan.in_plane) for plan in plans(undisturbed) if plan.target == first and plan.k > K]
+    for km, least, most in ((0.09, 2.0, 12.0), (1.0, 0.2, 0.8)):
+        said = _played(start, Accuracy(track=first, km=9.0), Accuracy(track=first, km=km))
+        sent = {one.k + 1: one for one in waveforms(said)}
+        assert [one for one in sent.values() if one.k + 1 < K] == [o for o in waveforms(undisturbed) if o.k + 1 < K]
+        had = [across_km(*plan.in_plane) for plan in plans(said) if plan.target == first and plan.k > K]
+        assert sum(one <= km for one in had) >= 18
+        assert max(usual) > 0.09
+        power = {k: one.shares[_roster(one).ids.tolist().index(first)].sum() for k, one in sent.items() if k > K}
+        before = [one.shares[_roster(one).ids.tolist().index(first)].sum() for one in waveforms(undisturbed)[K:]]
+        assert least <= np.median(list(power.values())) / np.median(before) <= most
+        assert all(one.orders is not None and one.orders.tolist() == [2] for k, one in sent.items() if k >= K)
+        assert all(_power(one) == pytest.approx(1.0, rel=1e-5) for one in sent.values())
+
+
 def test_a_priority_ends_with_its_track_and_is_none_of_one_that_begins_later() -> None:
     start = sky_start(BEAMS, dwells=20)
     undisturbed = played(start)
     roster = _roster(scans(undisturbed)[-1])
     later = roster.ids[roster.born_k >= K - 1].tolist()
     assert later
-    assert waveforms(_played(start, *(Priority(track=m, weight=9.0) for m in later))) == waveforms(undisturbed)
+    for order in (Priority(track=0, weight=9.0), Accuracy(track=0, km=0.01)):
+        given = (order.model_copy(update={"track": m}) for m in later)
+        assert waveforms(_played(start, *given)) == waveforms(undisturbed)
     first = int(roster.ids[0])
     priority, drop = Priority(track=first, weight=9.0), DropTrack(track=first)
     said = waveforms(played(start, orders=[Order(n=1, k=K, action=priority), Order(n=2, k=14, action=drop)]))

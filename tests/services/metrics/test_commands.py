@@ -1,5 +1,7 @@
 """The list of commands: which are open, which one has an id, and what the newest waveform obeys."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,8 @@ from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.messages import Command, Scan, Waveform
-from cogradar.shared.protocol.orders import Action, Look, PowerLimit, SectorSearch
+from cogradar.shared.protocol.messages import Command, Plan, Scan, Waveform
+from cogradar.shared.protocol.orders import Accuracy, Action, Look, PowerLimit, SectorSearch
 from cogradar.shared.wire.codec import encode
 from tests.services.loop import play, scans, waveforms
 from tests.skies import sky_start
@@ -59,6 +61,20 @@ def test_a_command_that_cannot_be_read_is_named(store: Store, action: str) -> No
     for metric in ("commands", "orders"):
         with pytest.raises(BadInput, match="run = 'r': command 1 cannot be read: "):
             answer(store, metric, {"run": "r"})
+
+
+def test_an_accuracy_that_the_newest_plan_lacks_is_not_met(store: Store) -> None:
+    journal, said = store.journal, play(START)
+    for n, km in enumerate((0.001, 5.0, 4.0), 1):
+        journal.add_command(_command(n, Accuracy(track=n // 2, km=km)), n, 4, "")  # two of track 1, of which one counts
+    for message in said:
+        if isinstance(message, Scan | Plan | Waveform) and message.k < 6:
+            topic, item = (type(message).__name__.lower(), message.target + 1 if isinstance(message, Plan) else 0)
+            obeyed = {"orders": np.array([1, 3], np.int32)} if topic == "waveform" else {}
+            journal.add_message("r", message.k, topic, item, encode(message.model_copy(update=obeyed)))
+    row, *others = answer(store, "commands", {"run": "r", "state": "open"})
+    assert [row["state"], *(other["state"] for other in others)] == ["not met", "in force", "in force"]
+    assert re.fullmatch(r"known to 0\.\d+ km across the line of sight in dwell 5", row["reason"])
 
 
 def test_an_order_awaits_the_allocator_until_a_waveform_obeys_it(store: Store) -> None:

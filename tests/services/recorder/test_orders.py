@@ -1,6 +1,7 @@
 """Commands at the recorder: what is granted, from when on, what is refused, and what its checkpoints say of it."""
 
 import json
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -15,8 +16,20 @@ from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart, Scan, Waveform, roster_of
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    Command,
+    Message,
+    Plan,
+    Refused,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+    roster_of,
+)
 from cogradar.shared.protocol.orders import (
+    Accuracy,
     Action,
     DropTrack,
     EndRun,
@@ -29,6 +42,7 @@ from cogradar.shared.protocol.orders import (
     SectorSearch,
     Setting,
 )
+from cogradar.shared.protocol.words.orders import parsed
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, smoke_start
 from tests.skies import sky_start
@@ -185,6 +199,45 @@ def test_a_priority_is_over_with_its_track_or_when_another_replaces_it(sky: list
     assert run.orders.end(60, 59, {}) == [2, 3]
 
 
+def _of_sky(sky: list[Message], *given: str) -> list[str]:
+    """Why each of these commands was refused in a sky that is there up to a dwell in which it has two tracks."""
+    run = RecordedRun(sky_start("radar.search.beams=4", dwells=DWELLS))
+    for message in sky:
+        if isinstance(message, Scan | Plan | Waveform | Truth) and message.k < 20:
+            run.take(message)
+    said = []
+    for n, words in enumerate(given, 1):
+        try:
+            run.grant(_command(n, parsed(words.split())), n)
+            said.append("")
+        except Refused as refused:
+            said.append(str(refused))
+    return said
+
+
+def test_an_accuracy_is_granted_where_the_power_keeps_it_and_else_refused_with_the_bound(sky: list[Message]) -> None:
+    granted, refused, both, instead = _of_sky(
+        sky, "accuracy 1 0.12", "accuracy 1 0.02", "accuracy 4 0.06", "accuracy 4 0.08"
+    )
+    assert granted == instead == ""
+    bound = re.fullmatch(
+        r"with (\d+)% of the power in each dwell, which is all that one track can have now, track 1 at \d+ km is known"
+        r" to (0\.\d+) km across the line of sight; asked: 0.02 km",
+        refused,
+    )
+    assert bound
+    assert 45 <= int(bound[1]) <= 90  # half of what the search leaves, or more
+    least = float(bound[2])
+    assert _of_sky(sky, f"accuracy 1 {least + 0.001}", f"accuracy 1 {least - 0.001}")[0] == ""
+    assert re.fullmatch(
+        r"it takes \d+% of the power, beside the accuracies of tracks 1 \(\d+%\);"
+        r" all together can have \d+%, this one \d+%",
+        both,
+    )
+    assert _of_sky(sky, "power 0.2", "accuracy 1 0.12")[1] != ""
+    assert _of_sky(sky, "accuracy 1 0.12", "accuracy 1 none", "accuracy 4 0.06") == ["", "", ""]
+
+
 def test_no_drop_is_over_while_the_tracks_are_not_known() -> None:
     """In real time, with a recorder that has come back and has no scan of its first dwell."""
     start = sky_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
@@ -268,6 +321,8 @@ def test_with_old_dwells_go_the_orders_that_shape_no_other_but_no_number_comes_t
         (sky_start(dwells=DWELLS), [BLANK, ORTHOGONAL], "no beams to steer for `sector blank"),
         (sky_start(dwells=DWELLS), [ORTHOGONAL, BLANK], "no beams to steer for `sector blank"),
         (sky_start(dwells=DWELLS), [PRIORITY], "there is no track 1"),
+        (sky_start(dwells=DWELLS), [Accuracy(track=0, km=0.1)], "there is no track 1"),
+        (smoke_start(dwells=DWELLS), [Accuracy(track=0, km=0.1)], "beliefs are Gaussians (radar.belief.filter ="),
         (smoke_start(dwells=DWELLS), [Priority(track=9, weight=2.0)], "there is no track 10"),
         (smoke_start(Strategy.UNIFORM, dwells=DWELLS), [PRIORITY], 'strategy is "uniform", which knows no priorities'),
         (smoke_start(dwells=DWELLS), [ORTHOGONAL, PRIORITY], 'strategy is "orthogonal", which knows no priorities'),

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cogradar.shared.protocol.orders import (
+    Accuracy,
     Action,
     DropTrack,
     EndRun,
@@ -20,7 +21,7 @@ from cogradar.shared.protocol.orders import (
     Resume,
     SectorSearch,
     Setting,
-    action_of,
+    accuracies,
     dropped,
     ends,
     in_force,
@@ -29,12 +30,11 @@ from cogradar.shared.protocol.orders import (
     looks,
     nu_of,
     of_tracks,
-    parsed,
     power_share,
     priorities,
     searches,
-    text_of,
 )
+from cogradar.shared.protocol.words.orders import action_of, parsed, text_of
 from cogradar.shared.signal.array import steering_vector
 
 SEARCHES: tuple[Literal["blank", "normal", "double"], ...] = ("blank", "normal", "double")
@@ -45,6 +45,7 @@ ACTIONS: st.SearchStrategy[Action] = st.one_of(
     SECTORS.filter(lambda s: s[0] < s[1]).map(lambda s: SectorSearch(from_deg=s[0], to_deg=s[1], search=s[2])),
     st.sampled_from(("uniform", "orthogonal")).map(lambda value: Setting(key="strategy", value=value)),
     st.tuples(st.integers(0, 1), st.sampled_from((1.0, 3.0))).map(lambda p: Priority(track=p[0], weight=p[1])),
+    st.tuples(st.integers(0, 1), st.sampled_from((0.1, 3.0, None))).map(lambda p: Accuracy(track=p[0], km=p[1])),
     st.sampled_from((Pause(), Pause(dwells=3), Resume())),
     st.integers(1, 9).map(lambda dwells: Look(bearing_deg=10.0, dwells=dwells, share=0.1)),
 )
@@ -65,7 +66,7 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
     """One after the other, without leaving anything out."""
     begun = sorted((order for order in given_ if order.k <= k), key=lambda order: (order.k, order.n))
     share, times, seen, paused_until = 1.0, np.ones(NUS.size, int), list[Look](), 0
-    weights = {0: 1.0, 1: 1.0}
+    weights, wanted_km = {0: 1.0, 1: 1.0}, dict[int, float | None]()
     for order in begun:
         match order.action:
             case PowerLimit():
@@ -79,6 +80,8 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
                 paused_until = 0
             case Priority():
                 weights[order.action.track] = order.action.weight
+            case Accuracy():
+                wanted_km[order.action.track] = order.action.km
             case Look() if k < order.k + order.action.dwells:
                 seen.append(order.action)
             case _:
@@ -88,6 +91,7 @@ def test_what_is_in_force_is_what_all_that_has_begun_comes_to(given_: list[Order
     there = in_force(given_, k)
     assert power_share(there) == share
     assert {0: 1.0, 1: 1.0} | priorities(there) == weights
+    assert accuracies(there) == {track: km for track, km in wanted_km.items() if km is not None}
     assert is_paused(there) == (k < paused_until)
     assert searches(there, NUS).tolist() == times.tolist()
     is_blanked = not searches(there, np.array([nu_of(10.0)]))[0]
@@ -129,6 +133,8 @@ def test_a_track_ends_and_a_run_ends_at_their_dwells() -> None:
         ("look 12.123456789 20 0.2", Look(bearing_deg=12.123456789, dwells=20, share=0.2)),
         ("drop 3", DropTrack(track=2)),
         ("priority 3 2.5", Priority(track=2, weight=2.5)),
+        ("accuracy 3 0.05", Accuracy(track=2, km=0.05)),
+        ("accuracy 3 none", Accuracy(track=2, km=None)),
         ("set rule mode", Setting(key="rule", value="mode")),
         ("pause", Pause()),
         ("pause 20", Pause(dwells=20)),
@@ -157,6 +163,9 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
         ("drop 1.5", "track = 1.5: must be a number"),
         ("priority 3 11", "weight = 11.0: must be a number >= 0.1 and <= 10.0"),
         ("priority 0 2", "track = 0: must be >= 1"),
+        ("accuracy 3 0", "km = 0.0: must be a number >= 0.001 and <= 100.0"),
+        ("accuracy 3 any", "km = any: must be a number"),
+        ("accuracy none 3", "track = none: must be a number"),
         ("set rule oracle", "rule must be one of pomcp, mode, "),
         ("set belief gaussian", "key = 'belief': must be"),
         ("set strategy", "set strategy: must be set strategy|rule|objective VALUE"),

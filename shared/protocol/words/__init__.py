@@ -1,0 +1,1 @@
+"""What people write and read for messages. Never here: what the messages mean."""
