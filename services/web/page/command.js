@@ -39,6 +39,8 @@ export class Command {
     byId("priority-set").addEventListener("click", () => this.send(`priority ${view.target} ${value("priority")}`));
     byId("accuracy-set").addEventListener("click", () => this.send(`accuracy ${view.target} ${value("accuracy")}`));
     byId("accuracy-none").addEventListener("click", () => this.send(`accuracy ${view.target} none`));
+    byId("pause").addEventListener("click", () => this.send(`pause ${byId("pause-dwells").value}`.trim()));
+    byId("resume").addEventListener("click", () => this.send("resume"));
     byId("drop").addEventListener("click", () => this.send(`drop ${view.target}`));
     byId("end").addEventListener("click", () => this.send("end"));
     byId("end-dialog").addEventListener("close", ({ target }) => {

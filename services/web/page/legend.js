@@ -41,6 +41,9 @@ OCCURRING.double = [
 OCCURRING.look = [
   ["commanded look", (c) => { c.setLineDash([6, 2, 1, 2]); stroke(c, "accent", 2, () => { c.moveTo(-6, 8); c.lineTo(4, -8); }); }],
 ];
+OCCURRING.pause = [
+  ["transmission paused", (c) => stroke(c, "alarm", 4, () => { for (const x of [-4, 4]) { c.moveTo(x, 7); c.lineTo(x, -7); } })],
+];
 
 function stroke(context, name, width, path) {
   context.strokeStyle = color(name);

@@ -74,12 +74,13 @@ export class Orders {
   }
 }
 
-// Sectors and looks among rows of commands, in degrees from the boresight.
+// What is drawn of rows of commands: sectors and looks, in degrees from the boresight, and whether nothing is radiated.
 export function directions(rows) {
-  const found = { sectors: [], looks: [] };
+  const found = { sectors: [], looks: [], isPaused: false };
   for (const { action } of rows) {
     const [kind, ...words] = action.split(" ");
     if (kind === "sector") found.sectors.push({ search: words[0], from: Number(words[1]), to: Number(words[2]) });
+    if (kind === "pause") found.isPaused = true;
     if (kind === "look") found.looks.push({ bearing: Number(words[0]) });
   }
   return found;

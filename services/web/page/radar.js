@@ -46,6 +46,7 @@ export class Radar {
     if (dwell?.cells?.unmeasured?.length) this.occurred.add("unmeasured");
     for (const { search } of told?.sectors ?? []) this.occurred.add(search);
     if (told?.looks.length) this.occurred.add("look");
+    if (told?.isPaused) this.occurred.add("pause");
     if (this.radar?.is_unknown) this.occurred.add("unknown");
     const isJammed = Boolean(this.radar?.jammers?.length);
     if (isJammed) this.occurred.add("jammers");

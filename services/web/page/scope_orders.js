@@ -19,6 +19,7 @@ export function commanded(frame, { told }) {
     context.stroke();
   }
   context.setLineDash([]);
+  if (told?.isPaused) silent(frame);
   if (!told?.asked) return;
   context.beginPath();
   wedge(frame, radians(told.asked.from), radians(told.asked.to));
@@ -27,6 +28,18 @@ export function commanded(frame, { told }) {
   context.globalAlpha = 1;
   context.lineWidth = 2;
   context.stroke();
+}
+
+// Two bars and words, above all: nothing is radiated.
+function silent({ context, width }) {
+  context.save();
+  context.fillStyle = color("alarm");
+  for (const x of [-8, 2]) context.fillRect(width / 2 - 82 + x, 34, 6, 18);
+  context.font = "bold 14px sans-serif";
+  context.textAlign = "left";
+  context.textBaseline = "middle";
+  context.fillText("Transmission paused", width / 2 - 66, 43);
+  context.restore();
 }
 
 function hatched(frame, from, to) {

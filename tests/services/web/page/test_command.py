@@ -19,7 +19,7 @@ from tests.services.web.page.conftest import Live, Open, Watched, inked, wait_fo
 from tests.skies import small_sky
 
 pytestmark = [pytest.mark.browser, pytest.mark.zenoh]
-TOKEN, WARN = "c0mmander-of-the-tower", "#946200"  # the colour in light
+TOKEN, WARN, ALARM = "c0mmander-of-the-tower", "#946200", "#d1002c"  # the colours in light
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +123,24 @@ def test_a_look_goes_where_the_scope_is_clicked(commander: Page) -> None:
     expect(commander.locator("#legend")).to_contain_text("commanded look")
 
 
+def test_transmission_is_paused_and_resumed_and_the_scope_says_so(commander: Page) -> None:
+    expect(commander.locator("#legend")).not_to_contain_text("transmission paused")
+    before = inked(commander, ALARM)
+    commander.get_by_role("button", name="Pause transmission").click()
+    expect(_answer(commander)).to_have_text(re.compile(r"^pause: granted from dwell \d+ on\.$"))
+    expect(commander.locator("#legend")).to_contain_text("transmission paused")
+    deadline = time.monotonic() + 20.0
+    while inked(commander, ALARM) <= before:
+        assert time.monotonic() < deadline
+        commander.wait_for_timeout(50)
+    commander.get_by_role("button", name="Resume").click()
+    expect(_answer(commander)).to_contain_text("resume: granted from dwell")
+    expect(commander.locator("#orders li", has_text="pause")).to_have_count(0)
+    commander.locator("#pause-dwells").fill("2")
+    commander.get_by_role("button", name="Pause transmission").click()
+    expect(_answer(commander)).to_contain_text("pause 2: granted from dwell")
+
+
 def test_the_chosen_track_comes_first_and_is_dropped(commander: Page) -> None:
     drop = commander.locator("#drop")
     expect(drop).to_be_disabled()
@@ -133,6 +151,11 @@ def test_the_chosen_track_comes_first_and_is_dropped(commander: Page) -> None:
     expect(_answer(commander)).to_contain_text(f"priority {track} 4: granted from dwell")
     order = commander.locator("#orders li", has_text="priority")  # the look of the test above may still be in force
     expect(order).to_have_text(re.compile(rf"^priority {track} 4 since dwell \d+, tower$"))
+    commander.get_by_label("within, km").fill("3")
+    commander.get_by_role("button", name="Accuracy", exact=True).click()
+    expect(_answer(commander)).to_contain_text(f"accuracy {track} 3: granted from dwell")
+    commander.get_by_role("button", name="Any accuracy").click()
+    expect(_answer(commander)).to_contain_text(f"accuracy {track} none: granted from dwell")
     drop.click()
     expect(_answer(commander)).to_contain_text(f"drop {track}: granted from dwell")
     expect(commander.locator(f"#tracks tr[data-target='{track}']")).to_have_count(0)
