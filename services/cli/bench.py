@@ -81,6 +81,23 @@ def dwell(update: UpdateOption = False, as_json: JsonOption = False) -> None:
     _time(DWELL, update=update, as_json=as_json)
 
 
+@bench.command()
+def feed(
+    tracks: Annotated[int, typer.Option(min=1, max=100_000, help="Of a picture.")] = 1000,
+    as_json: JsonOption = False,
+) -> None:
+    """Time what a feed takes of a core: pictures of a dwell's messages, and packing them in each format."""
+    from cogradar.services.feed import cost
+
+    with command() as stop, progress(err if as_json else out) as tell:
+        stop.at_once = True
+        costs = cost.measure(tracks, 20, tell)
+    if as_json:
+        print_json([cost.row(one) for one in costs])
+    else:
+        print_tables(out, [cost.table(costs)])
+
+
 def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
     from cogradar.services.bench import figures
     from cogradar.services.bench import kernels as benchmark

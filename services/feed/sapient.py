@@ -143,6 +143,13 @@ class Sapient(Format):
         return Output(_framed(message))
 
 
+def acceptance() -> bytes:
+    """What the other side says to accept a radar, where it is to be played."""
+    from sapient_msg.bsi_flex_335_v2_0 import sapient_message_pb2
+
+    return _framed(sapient_message_pb2.SapientMessage(registration_ack={"acceptance": True}))
+
+
 def _register(registration: Any, picture: Picture) -> None:
     """Say what the radar is and what it reports."""
     registration.icd_version, registration.name = VERSION, "cogradar"

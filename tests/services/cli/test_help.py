@@ -16,7 +16,7 @@ from cogradar.services.topology import SERVICES
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS, "bench", "bench kernels", "bench dwell"])
+@pytest.mark.parametrize("command", ["", *COMMANDS, "bench", "bench kernels", "bench dwell", "bench feed"])
 def test_help_fits_eighty_columns_whole(command: str) -> None:
     done = CliRunner().invoke(app, [*command.split(), "--help"], env={"COLUMNS": "80"}, prog_name="cogradar")
     assert done.exit_code == 0
