@@ -73,8 +73,8 @@ def table(result: Result) -> Table:
     it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that the track
     has been out of it. Of a target that is not there, or of no target, bins are -1, and states NaN; flags of no target
     are -1. `gospa_km`, its parts and `ospa_km` are of all targets together. With a `[site]`
-    there are latitudes and longitudes, and `utc_s` if it says when the run begins. Without truth, or scans in the
-    store, what needs them is left out. Raises BadInput if there is no dwell yet.
+    there are latitudes and longitudes; there is `utc_s` if it says when the run begins, or the front end says the time.
+    Without truth, or scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
@@ -84,8 +84,8 @@ def table(result: Result) -> Table:
     columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in _of_run(result).items()}
     columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
     columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
-    if result.scenario.site is not None and (begin_s := result.scenario.site.begin_s) is not None:
-        columns |= {"utc_s": begin_s + columns["t_s"]}
+    if not np.isnan(result.utc_s).all():
+        columns |= {"utc_s": result.utc_s[rows.dwells]}
     numbers = np.broadcast_to(tracks.numbers, tracks.alive.shape)
     columns |= {"track": rows.of(result.column("track"), 0, numbers), "target": rows.targets + 1}
     if is_unknown:

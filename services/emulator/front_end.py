@@ -120,6 +120,7 @@ class ScanData:
     # If `beams` is there: dwell whose waveform these beams are of, where it is older than k-1; None: it is not.
     waveform_k: int | None = None
     settings: Sequence[Setting] | None = None  # of a recording: what was set by commands
+    utc_s: float | None = None  # when it was measured, s since 1970 in UTC, if the receiver knows
 
     @classmethod
     def not_measured(cls, fault: str | None = None) -> Self:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from cogradar.services.skies.place import Place, dwell_s
-from cogradar.shared.protocol.fields import Covariance, Index, State
+from cogradar.shared.protocol.fields import Covariance, Index, State, UtcSeconds
 from cogradar.shared.protocol.messages import Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.scoring.scan_rows import ScanRows
@@ -16,6 +16,7 @@ from cogradar.shared.signal.response import strongest_of_each
 from cogradar.shared.wire.codec import Parts
 
 Floats = NDArray[np.float64]
+KEPT_TIMES = 512  # dwells whose waveform may still come
 WAIT_S = 0.05  # for plans of a dwell that are on their way when its waveform is there
 METRES = 1e3  # in a km
 
@@ -36,7 +37,17 @@ class TrackReport(Message):
     confirmed: bool | None = None
 
 
+class DwellReport(Message):
+    """What a picture takes of a scan whose detections are not wanted."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    k: Index
+    utc_s: UtcSeconds | None = None
+
+
 PARTS: Parts = {Plan: TrackReport}
+WITHOUT_PLOTS: Parts = {**PARTS, Scan: DwellReport}
 
 
 class Track(NamedTuple):
@@ -83,6 +94,7 @@ class Picture(NamedTuple):
     tracks: tuple[Track, ...]  # by number
     plots: tuple[Plot, ...] = ()  # of the dwell, if they are wanted
     is_last: bool = False  # of its run
+    is_timed: bool = False  # `utc_s` is of the dwell; else of when it was heard
 
     def without_tracks(self) -> "Picture":
         """The picture after the end of the run, or of the feed."""
@@ -112,6 +124,7 @@ class Pictures:
         self._wanted = wanted
         self._scan_rows = ScanRows.of(scenario.radar)
         self._plots: tuple[int, tuple[Plot, ...]] = (-1, ())  # of the newest scan, with its dwell
+        self._measured_s: dict[int, float] = {}  # when dwells were measured, of those that no waveform has answered
         self._plans: dict[int, Plan | TrackReport] = {}  # newest of each track
         self._seen_k: dict[int, int] = {}  # when it was detected last, or began
         self._waiting: Waveform | None = None
@@ -128,14 +141,18 @@ class Pictures:
         """The pictures that a message completes.
 
         now_s : of the clock of `due_s`
-        utc_s : time of pictures whose run does not state when it begins
+        utc_s : time of pictures of dwells whose time neither the front end nor the site says
         """
         found = list[Picture]()
         if isinstance(message, Plan | TrackReport) and message.run == self.run:
             self._add(message)
-        elif isinstance(message, Scan) and message.run == self.run:
-            if self._wanted.plots and message.k > self._k:
-                self._plots = message.k, self._plots_of(message)
+        elif isinstance(message, Scan | DwellReport) and message.run == self.run:
+            if message.k > self._k:
+                if message.utc_s is not None:
+                    self._measured_s[message.k] = message.utc_s
+                    self._measured_s.pop(message.k - KEPT_TIMES, None)
+                if self._wanted.plots and isinstance(message, Scan):
+                    self._plots = message.k, self._plots_of(message)
         elif isinstance(message, Waveform) and message.run == self.run:
             if message.k <= self._k:
                 return []  # redelivered
@@ -175,7 +192,9 @@ class Pictures:
         self._seen_k = {n: k for n, k in self._seen_k.items() if n in self._plans}
         unknown, dt_s = self._scenario.radar.is_unknown, self._scenario.radar.motion.dt_s
         t = waveform.k + 1 if unknown else self._t + max(0, waveform.k - self._t_k) * waveform.tracking
-        stated_s = dwell_s(self._site, t, dt_s)
+        told_s = self._measured_s.get(waveform.k)
+        self._measured_s = {k: at_s for k, at_s in self._measured_s.items() if k > waveform.k}
+        stated_s = dwell_s(self._site, t, dt_s) if told_s is None else told_s
         shown = [
             self._plans[n]
             for n in sorted(self._plans)
@@ -185,6 +204,7 @@ class Pictures:
             run=self.run,
             t=t,
             utc_s=utc_s if stated_s is None else stated_s,
+            is_timed=stated_s is not None,
             period_s=dt_s,
             site=self._site,
             is_simulated=self._scenario.world is not None,

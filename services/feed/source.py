@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from cogradar.services.analysis.stored_run import Ask, StoredRun
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics
-from cogradar.services.feed.picture import PARTS, Picture, Pictures, Wanted
+from cogradar.services.feed.picture import PARTS, WITHOUT_PLOTS, Picture, Pictures, Wanted
 from cogradar.services.metrics.client import ANSWER_WITHIN_S, CONNECT_WITHIN_S, CURE
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
@@ -61,14 +61,15 @@ def recorded(ask_metrics: Ask, run: str | None, speed: float, check: Check, want
     site = site_of(stored.name, stored.scenario, wanted.site)
     pictures = Pictures(stored.name, stored.scenario, site, wanted)
     due_s = time.monotonic()
-    for _, payloads in stored.messages("plan", "waveform", *(["scan"] if wanted.plots else [])):
-        said = [decode(payload, PARTS) for payload in payloads]
+    parts = PARTS if wanted.plots else WITHOUT_PLOTS
+    for _, payloads in stored.messages("plan", "waveform", "scan"):
+        said = [decode(payload, parts) for payload in payloads]
         for picture in [one for message in said for one in pictures.take(message, due_s, time.time())]:
             while (left := due_s - time.monotonic()) > 0.0:
                 check()
                 time.sleep(min(left, 0.1))
             check()
-            yield picture if picture.site.begin_utc is not None else picture._replace(utc_s=time.time())
+            yield picture if picture.is_timed else picture._replace(utc_s=time.time())
             due_s += picture.period_s / speed if speed else 0.0
 
 
@@ -85,8 +86,9 @@ def live(
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}{CURE}") from None
     try:
-        kinds = (Checkpoint, *((Scan,) if wanted.plots else ()), Plan, Waveform)
-        listener = Listener(session, kinds, PARTS)  # first: nothing is missed after the answer
+        kinds = (Checkpoint, Scan, Plan, Waveform)
+        parts = PARTS if wanted.plots else WITHOUT_PLOTS
+        listener = Listener(session, kinds, parts)  # first: nothing is missed after the answer
         try:
             yield from _Followed(session, run, check, notify, wanted).pictures(listener)
         finally:

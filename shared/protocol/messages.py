@@ -39,6 +39,7 @@ from cogradar.shared.protocol.fields import (
     Size,
     State,
     States,
+    UtcSeconds,
     check_different,
 )
 from cogradar.shared.protocol.orders import Action, Orders, Settings
@@ -192,6 +193,7 @@ class Scan(Message):
     # Dwell whose waveform was radiated, and whose looks these are, if it is older than k-1; -1: there was none.
     waveform_k: Annotated[int, Field(ge=-1)] | None = None
     settings: Settings | None = None  # of the waveform, so that planners are told
+    utc_s: UtcSeconds | None = None  # when it was measured, since 1970 in UTC, if the receiver knows
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

@@ -213,6 +213,17 @@ class Result:
         """Whether its scans are stored."""
         return next(self._stored.messages("scan"), None) is not None
 
+    @cached_property
+    def utc_s(self) -> Floats:
+        """When each dwell was, (T,), s since 1970 in UTC: as its front end says, else as the site; NaN: unknown."""
+        begin_s = None if self.scenario.site is None else self.scenario.site.begin_s
+        found = np.full(len(self.t), np.nan) if begin_s is None else begin_s + self.times_s
+        places = {k: i for i, k in enumerate(self._scores[1].tolist())}
+        for scan in self._stored_of(Scan):
+            if scan.utc_s is not None and scan.k in places:
+                found[places[scan.k]] = scan.utc_s
+        return found
+
     @property
     def tested(self) -> Bools:
         """Whether the cell of a bin was tested, (T, L)."""

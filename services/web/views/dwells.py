@@ -167,7 +167,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "run": run,
         "t": t,
         "k": k,
-        "utc_s": dwell_s(known.site, t, known.radar.motion.dt_s) if known.site is not None else None,
+        "utc_s": _utc_s(known, scan, t),
         "threshold": known.threshold,
         "isotropic": sent["isotropic"] if sent is not None else None,
         "targets": shown,
@@ -179,6 +179,13 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "picture": {name: value for name, value in picture.items() if name not in {"k", "t"}},
     }
     return to_json(data, inf_nan_mode="null")
+
+
+def _utc_s(known: Facts, scan: MessageFields | None, t: int) -> float | None:
+    """When a dwell was: as its front end says, else as the site says when the run begins; None: neither does."""
+    if scan is not None and (told_s := scan.get("utc_s")) is not None:
+        return float(told_s)
+    return dwell_s(known.site, t, known.radar.motion.dt_s) if known.site is not None else None
 
 
 def _obeyed(sent: MessageFields | None) -> list[int]:

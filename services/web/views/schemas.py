@@ -158,7 +158,9 @@ class DwellEvent(Document):
     run: str
     t: int
     k: int
-    utc_s: float | None = Field(description="Since 1970 in UTC, if `[site]` says when the run begins.")
+    utc_s: float | None = Field(
+        description="Since 1970 in UTC: as the front end says, or `[site]` if it says when the run begins."
+    )
     threshold: float
     isotropic: float | None
     targets: list[TargetOfDwell]

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from cogradar.services.analysis import export
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
+from cogradar.services.emulator.front_end import ScanData, Transmission
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.recording import take
@@ -130,6 +133,22 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
         assert np.array_equal(columns[name], np.repeat(of_dwells, TARGETS))
         assert np.sqrt(np.mean(of_dwells**2)) == pytest.approx(picture[name], rel=1e-12)
     assert result.picture.figures == picture
+
+
+def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, transmit = str(tmp_path / "runs.db"), SimulatedFrontEnd.transmit
+
+    def timed(self: SimulatedFrontEnd, k: int, t: int, asked: Transmission) -> ScanData:
+        return replace(transmit(self, k, t, asked), utc_s=None if t == 2 else 1e9 + t)
+
+    monkeypatch.setattr(SimulatedFrontEnd, "transmit", timed)
+    store = Store(Journal(path))
+    in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 3), store=store)
+    store.close()
+    found = export.table(_result(path))["utc_s"]
+    assert np.array_equal(found, [1e9 + 1, 1e9 + 1, np.nan, np.nan, 1e9 + 3, 1e9 + 3], equal_nan=True)
 
 
 def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> None:

@@ -328,6 +328,19 @@ def test_what_is_no_scan_at_all_counts_as_none() -> None:
     assert scan.fault == "senseless scan: transmit returned tuple, ScanData is needed"
 
 
+@pytest.mark.parametrize(
+    ("utc_s", "fault"), [(1.79e9, None), (-1.0, "utc_s: "), (np.nan, "utc_s: "), ("now", "utc_s: ")]
+)
+def test_the_time_of_a_scan_is_as_the_receiver_says_or_the_scan_is_senseless(utc_s: object, fault: str | None) -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    receiver.wrong = {"utc_s": utc_s}
+    scan = next(message for message in core.handle(_waveform(0)) if isinstance(message, Scan))
+    assert scan.utc_s == (utc_s if fault is None else None)
+    assert (scan.fault or "").startswith("" if fault is None else f"senseless scan: {fault}")
+
+
 def test_cells_that_are_left_out_are_told_to_be_unmeasured() -> None:
     receiver = Receiver()
     core = EmulatorCore(receiver.open)

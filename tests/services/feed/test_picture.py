@@ -6,7 +6,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from cogradar.services.feed.picture import PARTS, TRACKS_ALONE, WAIT_S, Picture, Pictures, TrackReport, Wanted
+from cogradar.services.feed.picture import (
+    PARTS,
+    TRACKS_ALONE,
+    WAIT_S,
+    WITHOUT_PLOTS,
+    Picture,
+    Pictures,
+    TrackReport,
+    Wanted,
+)
 from cogradar.services.skies.place import Place
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Waveform
 from cogradar.shared.protocol.topics import BY_MESSAGE
@@ -63,6 +72,18 @@ def test_each_dwell_has_one_picture_with_its_estimates_on_the_earth() -> None:
             along = np.array([vx, vy]) @ plan.covariance[np.ix_((0, 2), (0, 2))] @ np.array([vx, vy])
             turned = np.array(track.velocity) @ track.covariance[np.ix_((0, 2), (0, 2))] @ np.array(track.velocity)
             assert turned == pytest.approx(1e12 * along, rel=1e-6)
+
+
+@pytest.mark.parametrize("wanted", [TRACKS_ALONE, Wanted(plots=True)])
+def test_the_time_is_the_front_ends_where_it_knows_it(sky: list[Message], wanted: Wanted) -> None:
+    """Of dwell 20 it does not; nobody else does."""
+    said = [m.model_copy(update={"utc_s": 1e9 + m.k}) if isinstance(m, Scan) and m.k != 20 else m for m in sky]
+    parts = PARTS if wanted.plots else WITHOUT_PLOTS
+    start, *rest = [message for message in said if isinstance(message, RunStart | Scan | Plan | Waveform)]
+    found = pictures_of([start, *(decode(encode(message), parts) for message in rest)], wanted)
+    assert len(found) == DWELLS
+    assert [picture.utc_s for picture in found] == [1e9 + k if k != 20 else 77.0 for k in range(DWELLS)]
+    assert [picture.is_timed for picture in found] == [k != 20 for k in range(DWELLS)]
 
 
 def test_tracks_are_told_from_confirmation_to_their_end(sky: list[Message]) -> None:

@@ -17,7 +17,7 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.web.address import listen, url
 from cogradar.services.web.server import Server
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Message, RunStart, Truth
+from cogradar.shared.protocol.messages import Message, RunStart, Scan, Truth
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.exposition import Exposition
@@ -53,7 +53,7 @@ def record(path: Path, runs: dict[str, list[Message]]) -> None:
 
 @pytest.fixture(scope="session")
 def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs: whole, other (another strategy), sited (on the earth), blind (no truth), begun (not over)."""
+    """Runs: whole, other (another strategy), sited (on the earth), timed (by its receiver), blind (no truth), begun."""
     path = tmp_path_factory.mktemp("web") / "runs.db"
     start = smoke_start(dwells=DWELLS)
     sited = start.scenario | {"site": SITE}
@@ -64,6 +64,7 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
             "whole": sent,
             "other": play(smoke_start(Strategy.UNIFORM, dwells=DWELLS)),
             "sited": [start.model_copy(update={"scenario": sited}), *sent[1:]],
+            "timed": [m.model_copy(update={"utc_s": 1e9 + m.k}) if isinstance(m, Scan) else m for m in sent],
             "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
             "begun": sent[: len(sent) // 2],
         },

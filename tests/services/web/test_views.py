@@ -74,6 +74,8 @@ def test_with_a_site_a_dwell_says_where_on_the_earth_and_when(web: httpx.Client)
     (elsewhere,) = get(web, "whole/dwells", dwells="5:5")["dwells"]
     assert (elsewhere["utc_s"], get(web, "whole/radar")["site"]) == (None, None)
     assert {target["latitude_hat_deg"] for target in elsewhere["targets"]} == {None}
+    (timed,) = get(web, "timed/dwells", dwells="5:5")["dwells"]
+    assert timed["utc_s"] == 1e9 + timed["k"]
 
 
 def test_dwells_are_those_of_the_stream(web: httpx.Client) -> None:
