@@ -144,7 +144,8 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
     """
     if _Made.interpreted:
         return function
-    _Made.any = True
+    # Those of this room call only each other, so that all others may still be interpreted.
+    _Made.any = _Made.any or not function.__module__.startswith("cogradar.shared.numerics.")
     dispatcher = numba.njit(nogil=True)(function)
     if CACHED:
         dispatcher._cache = _KernelCache(function)
