@@ -9,7 +9,7 @@ from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, Ground
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
-_OTHERS = {"beams", "beam_nus", "gates", "roster", "settings", "unmeasured", "lost_km", "fault", "waveform_k"}
+_OTHERS = {"beams", "beam_nus", "gates", "roster", "settings", "unmeasured", "lost_km", "fault", "waveform_k", "utc_s"}
 COLUMNS = {field.name for field in fields(ScanData)} - _OTHERS
 
 
