@@ -184,7 +184,7 @@ def test_the_digest_sees_every_score(reference: str) -> None:
 
 
 def test_a_run_is_refused_by_another_program() -> None:
-    with pytest.raises(RunFailed, match="another version of the program"):
+    with pytest.raises(RunFailed, match=f"runs build {build()}, this system another, so"):
         play_one(SMALL.starts()[0], "another")
 
 
