@@ -219,7 +219,7 @@ class Result:
         begin_s = None if self.scenario.site is None else self.scenario.site.begin_s
         found = np.full(len(self.t), np.nan) if begin_s is None else begin_s + self.times_s
         places = {k: i for i, k in enumerate(self._scores[1].tolist())}
-        for scan in self._stored_of(Scan):
+        for scan in self._stored_of(Scan) if self.has_scans else ():
             if scan.utc_s is not None and scan.k in places:
                 found[places[scan.k]] = scan.utc_s
         return found
