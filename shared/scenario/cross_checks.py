@@ -178,9 +178,16 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     ),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin, cells, tracks: check_apart(_at_start(targets, measured_at_start), n_bin, cells, tracks),
+        lambda n_bin, cells, tracks, targets, *_: check_apart(
+            _at_start(targets, measured_at_start), n_bin, cells, tracks
+        ),
         "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells", "radar.tracks"),
+        (
+            "radar.array.n_bin",
+            "radar.receiver.cells",
+            "radar.tracks",
+            *(f"world.targets.{ANY}.{key}" for key in ("state", "height_km", "trajectory", "born_s")),
+        ),
     ),
     (
         lambda n_sim, n_bin, n_particle, radar: check_memory(
