@@ -6,15 +6,19 @@ the compiler fuses a product and a sum only where `fastmath` allows it, and no k
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics import moduli
 from cogradar.shared.numerics.jit import inlined, kernel
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+
+hypot = inlined(moduli.hypot)  # the same, also in kernels
+squared_modulus = inlined(moduli.squared_modulus)
+modulus = inlined(moduli.modulus)
 
 _EXP, _EXPM1, _LOG, _LOG10, _LOG1P, _TAN, _ARCSIN, _NDTR, _NDTRI, _I0E, _I1E = range(11)
 _LARGEST = 709.782712893384  # whose exponential is finite
@@ -112,24 +116,6 @@ def times(a: ArrayLike, b: ArrayLike) -> Complexes:
     found.real = a.real * b.real - a.imag * b.imag
     found.imag = a.real * b.imag + a.imag * b.real
     return found
-
-
-@inlined
-def hypot(x: Any, y: Any) -> Any:
-    """sqrt(x^2 + y^2), of kilometres and not of numbers near the ends of the range; broadcasts, also in kernels."""
-    return np.sqrt(x * x + y * y)
-
-
-@inlined
-def squared_modulus(z: Any) -> Any:
-    """|z|^2 of complex numbers or arrays, also in kernels; (...) -> (...)."""
-    return z.real * z.real + z.imag * z.imag
-
-
-@inlined
-def modulus(z: Any) -> Any:
-    """|z| of complex numbers or arrays, also in kernels; (...) -> (...)."""
-    return np.sqrt(z.real * z.real + z.imag * z.imag)
 
 
 def log_sum_exp(x: Floats) -> Floats:

@@ -3,6 +3,7 @@
 Symbols: S disturbance level at the target's bin; alpha its echo amplitude at the expected range.
 """
 
+from functools import cache
 from math import ceil, log
 
 import numpy as np
@@ -16,7 +17,6 @@ from cogradar.shared.tracking.motion import advance, predicted_bins
 
 AHEAD = 10  # dwells, of what a look is worth: about as long as an ordinary track can be left dark
 _STEPS = 61
-_NORMAL = np.asarray(ndtri((np.arange(_STEPS) + 0.5) / _STEPS))  # quantiles of N(0, 1): noise without chance
 MAX_GAIN = 1e30  # of a target on top of the array, or without any noise
 ASTRAY_BELOW = 0.1  # probability of the misses since a detection, under the belief
 _LEAST = 1e-6  # km, km^2: keeps a ratio finite
@@ -51,11 +51,25 @@ def information_gain(model: TrackerModel, state: TrackState, cells: NDArray[np.i
     cells   : (n,) bins
     returns : float in [0, 1]
     """
-    return float(_gain(state.belief.sample(), cells, model.sensor.n_bin, model.motion.dt, model.motion.sigma_s))
+    grid = model.sensor.n_bin, model.motion.dt, model.motion.sigma_s
+    return float(_gain(state.belief.sample(), cells, *grid, _normal_quantiles()))
+
+
+@cache
+def _normal_quantiles() -> NDArray[np.float64]:
+    """Of N(0, 1), in equal steps: noise without chance, (_STEPS,)."""
+    return ndtri((np.arange(_STEPS) + 0.5) / _STEPS)
 
 
 @kernel
-def _gain(particles: NDArray[np.float64], cells: NDArray[np.integer], n_bin: int, dt: float, sigma_s: float) -> float:
+def _gain(
+    particles: NDArray[np.float64],
+    cells: NDArray[np.integer],
+    n_bin: int,
+    dt: float,
+    sigma_s: float,
+    normal: NDArray[np.float64],
+) -> float:
     """`information_gain` of a belief, (n, 4).
 
     The acceleration until then spreads it by sigma_s dt^2 sqrt(sum_{i<AHEAD} (i + 1/2)^2) per axis: without it, a
@@ -71,8 +85,8 @@ def _gain(particles: NDArray[np.float64], cells: NDArray[np.integer], n_bin: int
         s = particles[i]
         x, _vx, y, _vy = advance(s[0], s[1], s[2], s[3], dt, 0.0, 0.0)
         dealt = ((i // _STEPS) * _STEPS // rows + _STEPS // (2 * rows)) % _STEPS
-        later_x = max(s[0] + dwells * dt * s[1] + spread * _NORMAL[i % _STEPS], 0.0)
-        later_y = s[2] + dwells * dt * s[3] + spread * _NORMAL[dealt]
+        later_x = max(s[0] + dwells * dt * s[1] + spread * normal[i % _STEPS], 0.0)
+        later_y = s[2] + dwells * dt * s[3] + spread * normal[dealt]
         count[index[bin_of(x, y, n_bin)], bin_of(later_x, later_y, n_bin)] += 1
     found, anyway, total = 0.0, 0.0, float(particles.shape[0])
     for i in range(count.shape[0]):

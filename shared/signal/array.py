@@ -9,8 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.shared.numerics.elementwise import arcsin, hypot
-from cogradar.shared.numerics.linear import product
+from cogradar.shared.numerics.moduli import hypot
 from cogradar.shared.numerics.quadrature import gauss_legendre
 
 # What a track remembers of a dwell with steered looks: these many of them, with what they have in common.
@@ -74,8 +73,10 @@ def on_ground(
     Straight above the array's line v_x has no bound. cos phi is kept above 0.05 there, and d v_x / d x' is taken as at
     x' = height_max_km, where a target that is nearer than that may be anywhere on its circle.
     """
+    from cogradar.shared.numerics.linear import product
+
     x, vx = max(float(mean[0]), 0.0), float(mean[1])
-    highest = arcsin(min(height_max_km / x, 1.0)) if x > 0.0 else 0.5 * np.pi
+    highest = math.asin(min(height_max_km / x, 1.0)) if x > 0.0 else 0.5 * np.pi
     cos = np.maximum(np.cos(0.5 * highest * (1.0 + _ELEVATIONS)), _LEAST_COS)
     means = np.tile(mean, (cos.size, 1))
     means[:, 0], means[:, 1] = x * cos, vx / cos

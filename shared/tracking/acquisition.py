@@ -4,6 +4,7 @@ Symbols: k scan; Lambda statistic, r = sqrt(Lambda / 2); u = |alpha| / sigma_hat
 the law of the echoes; a row reports the largest statistic of its n tests.
 """
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from math import hypot, inf, log
@@ -30,9 +31,7 @@ Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _RANGES = 32  # nodes over the prior of range, where it is not measured
-_LOSSES = power(
-    10.0, -0.05 * np.array([0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0])
-)  # of an echo beside its look and range cell
+_LOSSES = np.array([math.pow(10.0, -0.05 * db) for db in (0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0)])  # beside look and cell
 _CELLS = 3  # range cells that may report one echo, but for the first and the last one
 _HYPOTHESES, _SPREADS = 10.0, 6.0  # as many amplitudes, about, share the prior of one; of r, in standard deviations
 _QUANTILES, _NODES = 64, 512  # of the largest noise of a row; of a table over ln u from _LEAST to _MOST

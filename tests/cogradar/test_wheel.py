@@ -55,7 +55,9 @@ def test_the_wheel_has_every_source_and_every_scenario(wheel: Path) -> None:
     scenarios = {f"cogradar/scenarios/{path.name}" for path in (ROOT / "deploy/scenarios").glob("*.toml")}
     templates = {f"cogradar/templates/{path.name}" for path in (ROOT / "deploy/plugins").glob("*.py")}
     page = {f"cogradar/{path.relative_to(ROOT)}" for path in (ROOT / "services/web/page").iterdir()}
-    data = {"cogradar/services/bench/figures.toml", "cogradar/py.typed"}
+    data = {f"cogradar/services/bench/{name}" for name in ("figures.toml", "golden_digests.json")} | {
+        "cogradar/py.typed"
+    }
     assert files == sources | scenarios | templates | page | data
 
 

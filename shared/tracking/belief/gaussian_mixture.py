@@ -10,13 +10,14 @@ leave the Gaussian with the moments that are left of it. Beside all modes there 
 belief was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
 """
 
+import math
 from functools import cache, cached_property
 from math import erf, erfc, exp, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from cogradar.shared.numerics.elementwise import hypot, ndtri, power
+from cogradar.shared.numerics.elementwise import hypot, ndtri
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import cholesky, dot, product, solve
 from cogradar.shared.scenario.limits import MIXTURE_STATES
@@ -33,7 +34,9 @@ _LEAST_R = 1e-3  # km
 _TINY = 1e-300
 _NEGLIGIBLE = 1e-6  # probability that a belief was wrong, below which it is left as it is
 _LEAST_IN_CELL = 1e-12  # probability of a range cell below which a difference of two has lost its digits
-_STEPS = 1.0 / power(1.1673039782614187, np.arange(1, 5))  # of an additive recurrence in four dimensions (Roberts 2018)
+_STEPS = np.array(
+    [1.0 / math.pow(1.1673039782614187, i) for i in range(1, 5)]
+)  # of an additive recurrence in four dimensions (Roberts 2018)
 
 
 @cache
