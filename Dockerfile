@@ -1,6 +1,6 @@
 # One image for every role. docs/howto/deploy.md says what is in it, how large that is and why.
 ARG PYTHON=3.12
-ARG TARGETARCH
+# TARGETARCH is BuildKit's own: to declare it here would empty it.
 # Kernels are compiled in the build for a processor that any machine of the architecture is. They compute the same on all.
 FROM python:${PYTHON}-slim-bookworm AS base-amd64
 ENV NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES=""
