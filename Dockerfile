@@ -8,7 +8,7 @@ ENV NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES=""
 FROM python:${PYTHON}-slim-bookworm AS base-arm64
 ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=""
 
-FROM base-${TARGETARCH} AS base
+FROM base-${TARGETARCH:-amd64} AS base
 # The standard library comes without bytecode, and a read-only container could never keep any.
 RUN python -m compileall -q -x '/(test|idlelib|lib2to3|ensurepip)/' "$(python -c 'import os; print(os.path.dirname(os.__file__))')"
 
@@ -27,7 +27,7 @@ RUN --mount=type=cache,target=/root/.cache/uv \
     && uv pip install --quiet --native-tls --python venv --link-mode copy --compile-bytecode --only-binary :all: \
         --require-hashes --requirement /tmp/dependencies.txt \
     && find venv -type d -name tests -prune -exec rm -rf {} + \
-    && rm venv/lib/python*/site-packages/scs/_scs_mkl.*
+    && rm -f venv/lib/python*/site-packages/scs/_scs_mkl.*
 COPY deploy/scenarios deploy/scenarios
 COPY deploy/plugins deploy/plugins
 COPY shared shared

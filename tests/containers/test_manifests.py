@@ -219,7 +219,7 @@ def test_the_image_pins_kernels_of_each_architecture_and_no_arithmetic() -> None
         re.findall(r'^FROM \S+ AS base-(\w+)\nENV NUMBA_CPU_NAME=(\S+) NUMBA_CPU_FEATURES=""$', DOCKERFILE, re.M)
     )
     assert pinned == {"amd64": "x86-64-v3", "arm64": "generic"}
-    assert "FROM base-${TARGETARCH} AS base\n" in DOCKERFILE
+    assert "FROM base-${TARGETARCH:-amd64} AS base\n" in DOCKERFILE  # some builders do not say what they build for
     assert "ARG TARGETARCH" not in DOCKERFILE  # it would be empty then
     assert not re.search("OPENBLAS_CORETYPE|NPY_DISABLE", DOCKERFILE)
 
