@@ -3,7 +3,7 @@
 import importlib
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from pkgutil import resolve_name
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.plugins.kinds import OF_RUN, STRATEGY, Kind
 from cogradar.shared.scenario.plugins.names import Name, PluginFailed, PluginRefused, is_own
-from cogradar.shared.scenario.plugins.sources import Source, bind, bound, entry_point, given, settled, source_of
+from cogradar.shared.scenario.plugins.sources import Source, bind, bound, entry_point, given, rebind, settled, source_of
 
 MAX_SAID = 200  # characters of what somebody else's exception says
 
@@ -30,7 +30,7 @@ class Caller(NamedTuple):
             return function(*arguments)
         except PluginFailed:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PluginFailed(f"{self.short}: {self.said(error)}") from error
 
     def failed(self, text: str) -> PluginFailed:
@@ -47,6 +47,7 @@ class Caller(NamedTuple):
 
 
 _found: dict[tuple[str, str], Any] = {}  # of this process, as imported modules are
+_imports: dict[str, str] = {}  # hash of each module when it was imported
 _modules: dict[tuple[str, str], ModuleType] = {}  # by file and hash: two names of a file are of one module
 
 
@@ -86,6 +87,22 @@ def needed(
             yield kind, name
 
 
+def held(
+    radar: Mapping[str, Any], strategy: str, world: Mapping[str, Any] | None = None
+) -> list[tuple[Kind, str, Any]]:
+    """Objects of this process among the things of a run, and the names that stand for them."""
+    names = needed(radar, strategy, world)
+    return [(kind, name, thing) for kind, name in names if (thing := bound(kind, name)) is not None]
+
+
+def hold(objects: Iterable[tuple[Kind, str, Any]]) -> None:
+    """Let names stand for these objects, though another run may have others of the same source."""
+    for kind, name, thing in objects:
+        if bound(kind, name) is not thing:
+            rebind(kind, name, thing)
+            _found.pop((kind.name, name), None)
+
+
 def load_for(role: str, radar: Mapping[str, Any], strategy: str, world: Mapping[str, Any] | None = None) -> None:
     """Load what a role needs in a run; "": all of it. Raises PluginRefused."""
     for kind, name in needed(radar, strategy, world):
@@ -120,10 +137,15 @@ def _attribute(name: Name, source: Source) -> Any:
 
 def _imported(short: str, source: Source) -> ModuleType:
     caller = Caller(short, str(source.path))
+    if _imports.get(source.module, source.digest) != source.digest:
+        raise PluginRefused(f"{short}: {source.path} has changed since this process imported it: restart the process")
     try:
-        return importlib.import_module(source.module) if source.module else _executed(source)
+        module = importlib.import_module(source.module) if source.module else _executed(source)
     except (Exception, SystemExit) as error:
         raise PluginRefused(f"{short}: cannot be imported: {caller.said(error)}") from error
+    if source.module:
+        _imports[source.module] = source.digest
+    return module
 
 
 def _executed(source: Source) -> ModuleType:

@@ -37,6 +37,7 @@ _UNTRUSTED = (
     f" {VARIABLE}"
 )
 IN_PROCESS = "__main__"  # source of an object of a Python process that has none of its own
+MAX_ATTRIBUTE = 80  # characters of such an object's name
 _FILE, _MODULE, _IDENTIFIER = re.compile(FILE), re.compile(MODULE), re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -64,7 +65,12 @@ def allow(*places: str) -> None:
     """Let this process load what is in these folders, files and modules; each may be several, as in a search path."""
     for place in (part for text in places for part in text.split(os.pathsep) if part):
         is_module = _MODULE.fullmatch(place) is not None and not Path(place).exists()
-        _allowed.places[place if is_module else str(Path(place).resolve())] = None
+        _allowed.places[place if is_module else str(_settled(Path(place)))] = None
+
+
+def _settled(path: Path) -> Path:
+    """A whole path. A file may be a link, as in a mounted volume: its folder and its own name count."""
+    return path.resolve() if path.is_dir() else path.parent.resolve() / path.name
 
 
 def allowance() -> str:
@@ -79,14 +85,20 @@ def bind(kind: Kind, thing: Any) -> str:
     try:
         path = Path(inspect.getsourcefile(named) or "")
         source, text = path.name, _read(path, str(path))
-    except (TypeError, PluginRefused):
+    except (OSError, TypeError, PluginRefused):  # OSError: a class of a notebook
         source, text = "", b""
     module = sys.modules.get(getattr(named, "__module__", ""))
-    if not _FILE.fullmatch(source) or getattr(module, attribute, None) is not thing:
-        source, attribute, text = IN_PROCESS, re.sub(r"\W+", "_", attribute), _text_of(named)
     name = f"{source}:{attribute}#{_hash(text)}"
-    _allowed.objects[kind.name, name] = thing
+    if not is_own(name) or getattr(module, attribute, None) is not thing:
+        plain = re.sub(r"\W+", "_", attribute, flags=re.ASCII)[:MAX_ATTRIBUTE]
+        name = f"{IN_PROCESS}:{plain}#{_hash(_text_of(named))}"
+    rebind(kind, name, thing)
     return name
+
+
+def rebind(kind: Kind, name: str, thing: Any) -> None:
+    """Let a name stand for an object of this process."""
+    _allowed.objects[kind.name, name] = thing
 
 
 def _text_of(thing: Any) -> bytes:
@@ -94,8 +106,9 @@ def _text_of(thing: Any) -> bytes:
     try:
         return inspect.getsource(thing).encode()
     except (OSError, TypeError):
-        code = getattr(thing, "__code__", None)
-        return b"" if code is None else code.co_code + repr(code.co_consts).encode()
+        parts = vars(thing).values() if isinstance(thing, type) else (thing,)
+        codes = [part.__code__ for part in parts if hasattr(part, "__code__")]
+        return b"".join(code.co_code + repr(code.co_consts).encode() for code in codes)
 
 
 def bound(kind: Kind, name: str) -> Any:
@@ -142,7 +155,8 @@ def settled(kind: Kind, text: str, folder: Path, file: str = "") -> str:
 
 def _may_load(path: Path) -> bool:
     """Whether a file, or its folder, is allowed."""
-    return not {str(path.resolve()), str(path.resolve().parent)}.isdisjoint(_places())
+    found = _settled(path)
+    return not {str(found), str(found.parent)}.isdisjoint(_places())
 
 
 def given(path: Path) -> Source:
@@ -150,8 +164,9 @@ def given(path: Path) -> Source:
     if not _FILE.fullmatch(path.name):
         raise PluginRefused(f"{printable(path.name)}: must have a name of letters, digits, hyphens, dots and _")
     text = _read(path, str(path))
-    _allowed.places = {str(path.resolve()): None} | _allowed.places  # what was named last is looked at first
-    return Source(path.resolve(), text, _hash(text))
+    found = _settled(path)
+    _allowed.places = {str(found): None} | _allowed.places  # what was named last is looked at first
+    return Source(found, text, _hash(text))
 
 
 def source_of(kind: Kind, name: Name) -> Source:

@@ -22,6 +22,7 @@ TEXT = "def rule(problem, radar, rng, has_time=None):\n    return 0, 0\n"
 def _forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "_allowed", sources._Allowed())
     monkeypatch.setattr(resolver, "_found", {})
+    monkeypatch.setattr(resolver, "_imports", {})
     monkeypatch.delenv(sources.VARIABLE, raising=False)
 
 
@@ -129,6 +130,39 @@ def test_of_two_files_of_one_name_the_one_of_the_run_is_taken(tmp_path: Path) ->
     assert names[0] != names[1]
     assert [resolve(RULE, name).__closure__ is not None for name in names] == [True, True]
     assert resolve(RULE, names[0]) is not resolve(RULE, names[1])
+
+
+def test_a_file_may_be_a_link_and_a_link_opens_no_other_folder(tmp_path: Path) -> None:
+    (tmp_path / "volume").mkdir()
+    (tmp_path / "volume/rule.v2").write_text(TEXT)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/rule.py").symlink_to("../volume/rule.v2")
+    name = settled(RULE, "own/rule.py:rule", tmp_path)
+    assert resolve(RULE, name).__name__ == "asked"
+    sources._allowed.places.clear()
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign/link.py").symlink_to("../own/rule.py")
+    (tmp_path / "foreign/mine.toml").write_text('extends = "smoke"\nradar.planner.rule = "link.py:rule"\n')
+    allow(str(tmp_path / "own"))
+    with pytest.raises(ScenarioError, match="a scenario file names it"):
+        load(str(tmp_path / "foreign/mine.toml"))
+    (tmp_path / "own/mine.toml").write_text('extends = "smoke"\nradar.planner.rule = "rule.py:rule"\n')
+    assert load(str(tmp_path / "own/mine.toml")).radar.planner.rule == name
+
+
+def test_a_module_that_changed_since_it_was_imported_is_refused(package: Path) -> None:
+    resolve(RULE, settled(RULE, "ownrules.looks:rule", HERE))
+    (package / "ownrules/looks.py").write_text(TEXT + "# changed since\n")
+    with pytest.raises(PluginRefused, match="has changed since this process imported it: restart the process"):
+        resolve(RULE, settled(RULE, "ownrules.looks:rule", HERE))
+
+
+def test_objects_of_a_notebook_have_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
+    made = [type("Bruit_é", (), {"__module__": "__main__", "f": code}) for code in (lambda _: 1, lambda _: 2)]
+    names = [sources.bind(DISTURBANCE, one()) for one in made]
+    assert [is_own(name) and name.startswith("__main__:Bruit__#") for name in names] == [True, True]
+    assert names[0] != names[1]
 
 
 def test_roles_load_what_is_theirs(tmp_path: Path) -> None:
