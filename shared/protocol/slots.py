@@ -47,5 +47,6 @@ def may_plan(planner: str, track: int) -> bool:
 def may_be_said(message: Message, slots: str) -> bool:
     """Whether all tracks of a message, and its sender if it names one, belong to the slots on its key."""
     tracks = [message.target] if hasattr(message, "target") else getattr(message, "targets", [])
-    is_sender = slots_of(getattr(message, "planner", f"@{slots}")) == slots
+    sender = next((getattr(message, name) for name in ("planner", "process") if hasattr(message, name)), f"@{slots}")
+    is_sender = slots_of(sender) == slots
     return is_sender and all(track % N_SLOT in slots_in(slots) for track in tracks)

@@ -7,7 +7,7 @@ import pytest
 
 from cogradar.shared.protocol.events import Membership
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from cogradar.shared.protocol.recovery import Handover, History, Snapshot
+from cogradar.shared.protocol.recovery import Handover, History, NoPlans, Snapshot
 from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
 from cogradar.shared.wire.bus import (
     LOCAL,
@@ -140,6 +140,7 @@ def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:
         ("0-7", sample(Handover, run="run-1", planner="p@0-7", targets=[1, 9])),
         ("0-7", sample(Handover, run="run-1", planner="p", targets=[1])),  # on the key of another
         ("0-15", sample(Handover, run="run-1", planner="p@0-7", targets=[1])),
+        ("0-7", sample(NoPlans, run="run-1", process="p@8-15")),  # in the name of another
         ("0-16", plan(target=1)),
         ("7-0", plan(target=1)),
         ("00-7", plan(target=1)),
