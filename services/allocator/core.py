@@ -5,6 +5,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from pydantic import ValidationError
+
 from cogradar.services.allocator.tracks import Tracks, tracks_of
 from cogradar.services.allocator.waveform import warm_up, waveform
 from cogradar.services.delivery.inactivity import Inactivity
@@ -17,7 +19,7 @@ from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from cogradar.shared.protocol.orders import Order, in_force
 from cogradar.shared.protocol.recovery import NoWaveforms
-from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused
+from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused, is_own, short
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
@@ -203,6 +205,12 @@ def _when_due(run: _Run, now_s: float) -> Sequence[Message]:
     return _answer(run, run.k)
 
 
+def _own(run: _Run) -> str:
+    """The strategy, or objective, of somebody's own that makes a run's emissions; "": none is."""
+    names = (run.strategy, run.radar.allocation.objective if run.strategy is Strategy.POWER_AWARE else "")
+    return next((short(name) for name in names if is_own(name)), "")
+
+
 def _answer(run: _Run, k: int) -> Sequence[Message]:
     """The waveform of dwell k, with earlier plans where its own are missing; none if too little is known."""
     update = run.tracks.update(k, run.newest | run.plans[k], run.orders) if run.failed is None else None
@@ -212,6 +220,12 @@ def _answer(run: _Run, k: int) -> Sequence[Message]:
         made = waveform(run.radar, run.strategy, update, in_force(run.orders, k + 1))
     except PluginFailed as error:
         return run.give_up(update.run, error)
+    except ValidationError as error:
+        if not (own := _own(run)):
+            raise
+        said = error.errors(include_url=False, include_context=False, include_input=False)[0]["msg"]
+        text = f"{own} returned what no waveform can be: {said.removeprefix('Value error, ')}"
+        return run.give_up(update.run, PluginFailed(text))
     answer = run.tracks.sent(made)
     run.newest = {plan.target: plan for plan in update.plans} | {m: p for m, p in run.newest.items() if p.k > k}
     if run.pacing.loses_dwells:

@@ -143,6 +143,14 @@ def test_a_rule_that_fails_fails_its_run(folder: Path, body: str, said: str) -> 
         ("return E(1.0, Z((16, 0)), Z((2, 1)), Z((2, 1)) - 1.0)", "an isotropic power or shares below 0"),
         ("return E(1.0, Z((16, 0)), Z((2, 1)), Z((2, 1)), 'good')", "status 'good': must be one of fixed"),
         ("return E(1.5, Z((16, 0)), Z((2, 1)), Z((2, 1)))", "a power of 1.5: must be at most 1"),
+        (
+            "return E(1.0, Z((16, 0)), Z((2, 2)), Z((2, 2)))",
+            "no waveform can be: the cells of a track must all be differ",
+        ),
+        (
+            "return E(1.0, Z((16, 0)), Z((2, 1)) + float('nan'), Z((2, 1)))",
+            "no waveform can be: some beams must be >= 0",
+        ),
         ("return E('much', Z((16, 0)), Z((2, 1)), Z((2, 1)))", "an Emission that is none"),
     ],
 )
