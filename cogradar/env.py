@@ -15,7 +15,7 @@ pip install 'cogradar[gym]'.
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -72,6 +72,7 @@ REWARDS: dict[str, Callable[[Dwell], float]] = {
 class _Radar(gymnasium.Env[Observation, Action]):
     """What all environments have in common."""
 
+    _quick: ClassVar[Mapping[str, Any]] = {}  # what is set unless somebody else sets it
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as Gymnasium has it
 
     def __init__(
@@ -87,7 +88,10 @@ class _Radar(gymnasium.Env[Observation, Action]):
         if render_mode not in {None, *self.metadata["render_modes"]}:
             raise BadInput(f"render_mode = {render_mode!r}: must be rgb_array or None")
         self.render_mode = render_mode
-        self._scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, settings)
+        if isinstance(scenario, Scenario) and settings:
+            raise BadInput("settings: a Scenario has all its values: give cogradar.load the settings, or here the name")
+        given = {**self._quick, **settings}
+        self._scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, given)
         self._dwells = dwells
         self._reward = REWARDS[reward]
         self._player: Player | None = None
@@ -108,7 +112,10 @@ class _Radar(gymnasium.Env[Observation, Action]):
         """Radiate what the action says, and measure; the action is that for the dwell after the last observation."""
         if self._player is None:
             raise BadInput("step: reset the environment first")
-        self._dwell = self._player.send(self._waveform(self.dwell, action))
+        try:
+            self._dwell = self._player.send(self._waveform(self.dwell, action))
+        except StopIteration:
+            raise BadInput("step: the episode is over: reset the environment first") from None
         is_last = self._dwell.t >= self._player.dwells
         reward = self._reward(self._dwell)
         return self._observation(self._dwell), reward, False, is_last, self._info(self._dwell)
@@ -181,6 +188,17 @@ def _space_of_beliefs(size: int) -> dict[str, spaces.Space[Any]]:
     }
 
 
+def _numbers(action: Action, name: str, size: int, most: float, *, whole: bool = False) -> NDArray[np.float64]:
+    """What an action says, (size,). Raises BadInput for what is not in its space."""
+    try:
+        found = np.asarray(action[name], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (size,) or not ((found >= 0.0) & (found <= most) & ~(whole & (found != np.floor(found)))).all():
+        raise BadInput(f"action: {name} must be {size} of 0 .. {most:g}{', whole numbers' if whole else ''}")
+    return found
+
+
 def _shares(weights: NDArray[np.float64], power: float) -> NDArray[np.float64]:
     """Power split in proportion to weights, evenly if all are 0."""
     total = float(weights.sum())
@@ -198,6 +216,8 @@ class PaperEnv(_Radar):
     Reward      : one of `REWARDS`
     """
 
+    _quick: ClassVar[Mapping[str, Any]] = {"radar.planner.rule": "mode"}  # no search for what the agent does not ask
+
     def __init__(
         self,
         scenario: str | Path | Scenario = "paper",
@@ -208,8 +228,7 @@ class PaperEnv(_Radar):
         reward: str = "detections",
         render_mode: str | None = None,
     ) -> None:
-        quick = {"radar.planner.rule": "mode"}  # what the agent does not ask for is not searched for
-        super().__init__(scenario, quick | dict(settings or {}), dwells, reward, render_mode)
+        super().__init__(scenario, settings or {}, dwells, reward, render_mode)
         radar = self._scenario.radar
         if radar.is_unknown or radar.receiver.cells != "bins":
             raise BadInput(f'{self._scenario.name}: needs a known number of targets, and cells = "bins"')
@@ -233,10 +252,10 @@ class PaperEnv(_Radar):
     def _waveform(self, dwell: Dwell, action: Action) -> Waveform | None:
         if (sent := dwell.next) is None:
             return None
-        array, bins = self._scenario.radar.array, np.asarray(action["bins"], dtype=np.int32)
-        shares = _shares(np.asarray(action.get("weights", np.ones(bins.size)), dtype=np.float64), array.power)
-        if bins.shape != (sent.beams.shape[0],) or not ((bins >= 0) & (bins < self._n_bin)).all():
-            raise BadInput(f"action: bins must be {sent.beams.shape[0]} of 0 .. {self._n_bin - 1}")
+        array, m = self._scenario.radar.array, sent.beams.shape[0]
+        bins = _numbers(action, "bins", m, self._n_bin - 1, whole=True).astype(np.int32)
+        weights = _numbers(action, "weights", m, 1.0) if "weights" in action else np.ones(m)
+        shares = _shares(weights, array.power)
         factor = beam_factor(bin_centres(self._n_bin)[bins], shares, array.n_tx)
         told = {
             "beams": bins[:, np.newaxis],
@@ -254,7 +273,7 @@ class SkyEnv(_Radar):
     Action      : "weights", (SLOTS,), 0 .. 1, of the tracks, and "search", (1,), of all beams of the search together:
                   what the power is split in proportion to
     Observation : as of `PaperEnv`, (SLOTS, ...), in the order of the tracks' numbers; "existence" (SLOTS,) is their
-                  probability of existence, 0 where there is no track
+                  probability of existence, 0 where there is no track; one that has just begun has no belief yet
     """
 
     def __init__(
@@ -266,7 +285,7 @@ class SkyEnv(_Radar):
         reward: str = "gospa",
         render_mode: str | None = None,
     ) -> None:
-        super().__init__(scenario, dict(settings or {}), dwells, reward, render_mode)
+        super().__init__(scenario, settings or {}, dwells, reward, render_mode)
         radar = self._scenario.radar
         if radar.search is None or radar.search.pattern == "isotropic":
             raise BadInput(f"{self._scenario.name}: needs an unknown number of targets, and a search with beams")
@@ -282,9 +301,10 @@ class SkyEnv(_Radar):
     def _observation(self, dwell: Dwell) -> Observation:
         by_track = {plan.target: plan for plan in dwell.plans if plan.status == "tracking"}
         roster = dwell.next.roster if dwell.next is not None else None
-        plans = [by_track[one] for one in (roster.ids.tolist() if roster is not None else ()) if one in by_track]
+        ids = [] if roster is None else roster.ids.tolist()
+        plans = [by_track[one] for one in ids if one in by_track]
         existence = np.zeros(SLOTS)
-        existence[: len(plans)] = [plan.existence or 0.0 for plan in plans[:SLOTS]]
+        existence[: len(ids)] = 0.0 if roster is None else roster.expected[:SLOTS, -1]
         return _beliefs(plans, SLOTS) | {"existence": existence}
 
     def _waveform(self, dwell: Dwell, action: Action) -> Waveform | None:
@@ -293,10 +313,11 @@ class SkyEnv(_Radar):
             return None
         power, roster = self._scenario.radar.array.power, sent.roster
         weights = np.zeros(sent.beams.shape)
-        given = np.asarray(action["weights"], dtype=np.float64)[: sent.beams.shape[0]]
+        given = _numbers(action, "weights", SLOTS, 1.0)[: sent.beams.shape[0]]
+        searched = float(_numbers(action, "search", 1, 1.0)[0])
         lit = (sent.beams >= 0) & (np.cumsum(sent.beams >= 0, axis=1) == 1)  # the brightest cell of each track
         weights[: given.size] = lit[: given.size] * given[:, np.newaxis]
-        search = float(np.asarray(action["search"])[0]) if roster.searched.size else 0.0
+        search = searched if roster.searched.size else 0.0
         if weights.sum() + search <= 0.0:
             weights, search = lit.astype(np.float64), 1.0
         scale = power / (weights.sum() + search)

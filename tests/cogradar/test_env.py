@@ -133,6 +133,34 @@ def test_an_action_outside_the_grid_is_bad_input() -> None:
     with pytest.raises(cogradar.BadInput, match="reset"):
         environment.step(environment.action_space.sample())
     environment.reset(seed=1)
-    with pytest.raises(cogradar.BadInput, match=r"bins must be 2 of 0 \.\. 15"):
-        environment.step({"bins": np.array([3, 16])})
+    for bins in ([3, 16], [3, -1], [3], [3.5, 4.0], [float("nan"), 3.0], ["a", "b"], [3, 2**32]):
+        with pytest.raises(cogradar.BadInput, match=r"bins must be 2 of 0 \.\. 15, whole numbers"):
+            environment.step({"bins": np.array(bins)})
+    for weights in ([0.5, float("nan")], [-0.5, 1.0], [0.5, 1.5], [1.0], [1.0, float("inf")]):
+        with pytest.raises(cogradar.BadInput, match=r"weights must be 2 of 0 \.\. 1$"):
+            environment.step({"bins": np.array([3, 4]), "weights": np.array(weights)})
+    for _ in range(8):
+        *_, is_over, _ = environment.step({"bins": np.array([3, 4]), "weights": np.array([0.0, 1.0])})
+    assert is_over
+    with pytest.raises(cogradar.BadInput, match="the episode is over: reset"):
+        environment.step({"bins": np.array([3, 4])})
     environment.close()
+
+
+def test_a_sky_takes_any_split_of_its_space_and_no_other() -> None:
+    environment = _made("cogradar/Sky-v0")
+    environment.reset(seed=4)
+    for search, weight in ((0.0, 1.0), (1.0, 0.0), (0.0, 0.0), (1.0, 1.0)):
+        shown, *_ = environment.step({"weights": np.full(100, weight), "search": np.array([search])})
+        assert all(np.isfinite(values).all() for values in shown.values())
+    for action, words in (
+        ({"weights": np.full(100, np.nan), "search": np.ones(1)}, "weights must be 100 of"),
+        ({"weights": np.ones(3), "search": np.ones(1)}, "weights must be 100 of"),
+        ({"weights": np.ones(100), "search": -np.ones(1)}, "search must be 1 of"),
+        ({"weights": np.ones(100)}, "search must be 1 of"),
+    ):
+        with pytest.raises(cogradar.BadInput, match=words):
+            environment.step(action)
+    environment.close()
+    with pytest.raises(cogradar.BadInput, match="a Scenario has all its values"):
+        _made("cogradar/Sky-v0", settings={"radar.array.n_tx": 12})
