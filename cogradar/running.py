@@ -4,10 +4,12 @@ import json
 import logging
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
+import numpy as np
 from pydantic import ValidationError
 
 from cogradar.services.analysis.arrays import records
@@ -16,13 +18,13 @@ from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.errors import BadInput
 from cogradar.services.runs.run import as_played, ending, strategy_of
 from cogradar.services.topology import Start
-from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.messages import Refused, RunStart
 from cogradar.shared.scenario.faults import explain
 from cogradar.shared.scenario.files import ScenarioError, parse
 from cogradar.shared.scenario.files import load as load_file
 from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, Kind
 from cogradar.shared.scenario.plugins.names import PluginError
-from cogradar.shared.scenario.plugins.resolver import named
+from cogradar.shared.scenario.plugins.resolver import held, hold, named
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 
@@ -100,8 +102,12 @@ class Dwell:
 class Player:
     """A run that is played dwell by dwell: an iterator of `Dwell`, and its `result` once it is over.
 
-    Closed before its end, as at the end of a `with` that is left earlier, the run is cancelled.
+    Closed before its end, as at the end of a `with` that is left earlier, the run is cancelled. At its end, and when it
+    fails, it is closed already.
     """
+
+    _is_closed = True  # until it is begun
+    _last: "in_process.Dwell | None"
 
     def __init__(self, start: RunStart, planners: int, store: str | Path | None, front_end: str) -> None:
         from cogradar.services import kernels
@@ -111,7 +117,8 @@ class Player:
 
         self.run, self.dwells = start.run, start.dwells
         self._scenario = Scenario.model_validate(start.scenario)
-        self._file, self._is_closed = store, False
+        self._own = held(start.scenario["radar"], start.strategy, start.scenario["world"])
+        self._file, self._last = store, None
         self._store = in_memory() if store is None else Store(Journal(str(store), owner="cogradar.run"))
         try:
             kernels.compile_all(log.warning)
@@ -119,16 +126,41 @@ class Player:
         except BaseException:
             self._store.close()
             raise
+        self._is_closed = False
 
     def __iter__(self) -> Self:
         return self
 
     def __next__(self) -> Dwell:
-        return Dwell(next(self._steps), self._scenario)
+        return self.send(None)
 
     def send(self, waveform: "Waveform | None") -> Dwell:
-        """The next dwell, with this waveform in place of the radar's own. Raises StopIteration after the last one."""
-        return Dwell(self._steps.send(waveform), self._scenario)
+        """The next dwell, with this waveform in place of the radar's own, `next` of the dwell before.
+
+        Raises BadInput for one that cannot be radiated then, StopIteration after the last dwell.
+        """
+        if waveform is not None:
+            self._check(waveform)
+        hold(self._own)
+        try:
+            self._last = self._steps.send(waveform)
+        except BaseException:
+            self.close()
+            raise
+        return Dwell(self._last, self._scenario)
+
+    def _check(self, waveform: "Waveform") -> None:
+        from cogradar.services.emulator.cycle import check_waveform
+        from cogradar.shared.wire.codec import decode, encode
+
+        asked = None if self._last is None else self._last.next
+        try:
+            if asked is None or (waveform.run, waveform.k) != (asked.run, asked.k):
+                raise Refused("must be a copy of `next` of the last dwell, with other values")
+            decode(encode(waveform))
+            check_waveform(waveform, self._scenario.radar, self.dwells)
+        except (TypeError, ValueError) as error:
+            raise BadInput(f"waveform: {error}") from None
 
     def __enter__(self) -> Self:
         return self
@@ -138,14 +170,22 @@ class Player:
 
     def close(self) -> None:
         """Cancel the run if it is not over, and close its file."""
-        self._steps.close()
-        if self._file is not None and not self._is_closed:
-            self._store.close()
+        if self._is_closed:
+            return
         self._is_closed = True
+        try:
+            self._steps.close()
+        finally:
+            if self._file is not None:
+                self._store.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # a program that ends may have nothing left to close it with
+            self.close()
 
     @property
     def result(self) -> Result:
-        """The run as arrays, as far as it has been played."""
+        """The run as arrays; of one that goes on, what is acknowledged: the newest 15 dwells at most are missing."""
         from cogradar.services.analysis.stored_run import StoredRun
         from cogradar.services.metrics.answers import answer
         from cogradar.services.metrics.store import Store
@@ -196,6 +236,8 @@ def play(scenario: Scenario | str | Path, **how: Unpack[Playing]) -> Player:
     """
     from cogradar.services.front_ends import settled
 
+    if unknown := sorted(how.keys() - Playing.__optional_keys__):
+        raise BadInput(f"{unknown[0]}: no argument, must be one of {', '.join(sorted(Playing.__optional_keys__))}")
     loaded = _loaded(scenario, how)
     front_end = how.get("front_end", Start.front_end)
     strategy = strategy_of(how.get("strategy", Strategy.POWER_AWARE))
@@ -277,7 +319,7 @@ def _with_own(scenario: Scenario, things: Mapping[Kind, Any]) -> Scenario:
 def _texts(settings: Settings) -> list[str]:
     if isinstance(settings, Mapping):
         return [f"{key}={_toml(value)}" for key, value in settings.items()]
-    return list(settings)
+    return [settings] if isinstance(settings, str) else list(settings)
 
 
 def _toml(value: object) -> str:
@@ -286,7 +328,11 @@ def _toml(value: object) -> str:
         case Mapping():
             return "{" + ", ".join(f"{json.dumps(str(key))} = {_toml(one)}" for key, one in value.items()) + "}"
         case str() | bool():
-            return json.dumps(value)
+            return json.dumps(value, ensure_ascii=False)
+        case np.ndarray() | np.bool_():
+            return _toml(value.tolist())
+        case None:
+            raise BadInput("a setting is None, which no scenario can say: leave its key out")
         case Iterable():
             return "[" + ", ".join(map(_toml, value)) + "]"
         case _:

@@ -20,7 +20,7 @@ from cogradar.shared.protocol.messages import Plan, RunCancel, RunStart, Scan, T
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.bus import Bus, LocalBus, LocalNetwork
-from cogradar.shared.wire.runner import Core, step
+from cogradar.shared.wire.runner import Closing, Core, step
 
 REPORT_EVERY_S = 0.25
 
@@ -93,7 +93,7 @@ def steps(
 
     network.deliver(start)
     dwells = _Dwells()
-    with _ended_whatever_happens(store, cancel):
+    with _ended_whatever_happens(store, cancel), _closed(core for core, _ in endpoints):
         while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
             for dwell in dwells.complete(recorded):
                 if (chosen := (yield dwell)) is not None:
@@ -162,12 +162,23 @@ def _ended_whatever_happens(store: Store, cancel: Callable[[], None]) -> Iterato
     except (Interrupted, GeneratorExit):
         cancel()
         raise
-    except Exception:
+    except BaseException:  # Ctrl-C as well
         with suppress(Exception):  # what happened first is what is told; the recorder may be of no use any more
             store.journal.rollback()
             store.journal.give_up_unfinished()
             store.journal.commit()
         raise
+
+
+@contextmanager
+def _closed(cores: Iterable[Core]) -> Iterator[None]:
+    """A receiver that a run has switched on is off after it."""
+    try:
+        yield
+    finally:
+        for core in cores:
+            if isinstance(core, Closing):
+                core.close()
 
 
 def _replace(queue: deque[Event], old: Event | None, new: Event) -> None:

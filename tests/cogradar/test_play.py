@@ -1,6 +1,8 @@
 """A run dwell by dwell, and its tables: the rows of the whole run, in any frame; kept, cancelled, drawn."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,6 +102,13 @@ def test_settings_are_those_of_the_command_line() -> None:
     assert ours.scenario.radar.array.n_tx == 12
     with pytest.raises(cogradar.BadInput, match="a Scenario has all its values"):
         cogradar.run(ours.scenario, set=settings)
+    typo: Any = {"seeds": 3}
+    with pytest.raises(cogradar.BadInput, match=r"seeds: no argument, must be one of belief, disturbance,.*, seed, "):
+        cogradar.run("smoke", **typo)
+    assert cogradar.load("smoke", {"radar.array.n_tx": np.array(12)}).radar.array.n_tx == 12
+    assert cogradar.load("smoke", "radar.array.n_tx=12").radar.array.n_tx == 12
+    with pytest.raises(cogradar.BadInput, match="a setting is None"):
+        cogradar.load("smoke", {"radar.array.n_tx": None})
     with pytest.raises(cogradar.BadInput, match=r"rule = .clairvoyant.: must be one of pomcp"):
         cogradar.run("smoke", rule="clairvoyant")
     with pytest.raises(cogradar.BadInput, match="No such file or directory"):
@@ -119,3 +128,54 @@ def test_pictures_show_the_dwell(played: tuple[list[cogradar.Dwell], cogradar.Re
     assert scope.get_title(loc="left").endswith(f"dwell {DWELLS}: {confirmed} confirmed tracks")
     with pytest.raises(cogradar.BadInput, match="has no such dwell"):
         result.plot.scope(DWELLS + 1)
+
+
+def test_a_store_is_free_whatever_became_of_its_run(tmp_path: Path) -> None:
+    """Without a `with`: after the last dwell, a failure, Ctrl-C, and when nobody has the player any more."""
+
+    def raising(error: BaseException) -> Callable[..., Any]:
+        def rule(*_: object) -> None:
+            raise error
+
+        return rule
+
+    file = tmp_path / "runs.db"
+    player = cogradar.play("smoke", seed=1, dwells=2, store=file)
+    assert [dwell.t for dwell in player][-2:] == [1, 2]
+    broken = cogradar.play("smoke", seed=2, dwells=2, store=file, rule=raising(SystemExit(3)))
+    with pytest.raises(cogradar.RunFailed, match="SystemExit: 3"):
+        list(broken)
+    stopped = cogradar.play("smoke", seed=3, dwells=2, store=file, rule=raising(KeyboardInterrupt()))
+    with pytest.raises(KeyboardInterrupt):
+        list(stopped)
+    next(cogradar.play("smoke", seed=4, dwells=2, store=file))
+    with cogradar.open(file) as runs:
+        found = {row["seed"]: row["status"] for row in runs.runs(run="all")}
+    assert found == {1: "complete", 2: "failed", 3: "failed", 4: "stopped"}
+    assert player.result.status == "complete"
+
+
+def test_two_players_keep_their_objects_apart() -> None:
+    def looks_at(bin_: int) -> Callable[..., Any]:
+        return lambda *_: (bin_, 0)
+
+    players = [cogradar.play("smoke", dwells=3, rule=looks_at(bin_)) for bin_ in (2, 9)]
+    for dwells in zip(*players, strict=True):
+        if dwells[0].t > 0:
+            assert [plan.bins.tolist() for dwell in dwells for plan in dwell.plans] == [[2], [2], [9], [9]]
+
+
+def test_a_waveform_that_cannot_be_radiated_is_bad_input() -> None:
+    with cogradar.play("smoke", dwells=3) as player:
+        first = next(player)
+        while first.t == 0:
+            first = next(player)
+        assert first.next is not None
+        for change, words in (
+            ({"factor": 2.0 * first.next.factor}, "power 4, at most 1 is allowed"),
+            ({"factor": first.next.factor.astype(np.complex128)}, "cannot be sent"),
+            ({"k": 0}, "must be a copy of `next`"),
+        ):
+            with pytest.raises(cogradar.BadInput, match=words):
+                player.send(first.next.model_copy(update=change))
+        assert player.send(first.next).t == first.t + 1
