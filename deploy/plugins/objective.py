@@ -10,7 +10,8 @@ def equal_echoes(radar: RadarConfig, requests: Requests) -> Emission:
 
     Arguments and answer are those of a strategy; this is what "power-aware" does with the power.
     """
-    shares = 1.0 / requests.weights
-    shares *= radar.array.power / shares.sum()
+    free = np.where(requests.fixed > 0.0, 0.0, 1.0 / requests.weights)
+    left = max(radar.array.power - float(requests.fixed.sum()), 0.0)
+    shares = requests.fixed + left * free / max(free.sum(), 1e-300)  # what was asked for the accuracy of a track stays
     factor = beam_factor(requests.nus[:, 0], shares, radar.array.n_tx)
     return Emission(0.0, factor, requests.nus[:, :1], shares[:, np.newaxis])
