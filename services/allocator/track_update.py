@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.numerics.elementwise import hypot, modulus
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.linear import eigh, product
 from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan
@@ -24,6 +24,7 @@ from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import unclaimed
 from cogradar.shared.tracking.existence import ENDED_BELOW, existence_of
 from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, modes_after, predicted_moments
+from cogradar.shared.tracking.sensor import heard
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -192,7 +193,7 @@ def _birth(scan: Scan, row: int) -> list[float]:
     """The detection of a row, as a roster has it."""
     columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
     places = [float(np.asarray(column)[row]) for column in columns]
-    return [*places, float(modulus(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
+    return [*places, float(heard(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
 
 
 def _chance(radar: RadarConfig, birth: Floats) -> float:

@@ -18,12 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.numerics.elementwise import hypot, modulus
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.angle import apart
 from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.response import Response
 from cogradar.shared.signal.scan import Detections, Floats
+from cogradar.shared.tracking.sensor import heard
 
 Ints = NDArray[np.int64]
 
@@ -119,7 +120,7 @@ class Assignment:
         for label in np.unique(self._labels[self._alone == _COMPETES]).tolist():
             cluster = self._cluster(label)
             claimed[cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]]] = True
-        columns = (scan.statistic, modulus(scan.alpha_hat), scan.sigma_hat)
+        columns = (scan.statistic, heard(scan.alpha_hat), scan.sigma_hat)
         seen = np.vstack((self._seen, np.array(columns)[:, over]))
         widths, loss = (self._response.lobe, self._response.range_cell_km), self._response.loss_table()
         return np.asarray(over[_new_echoes(self._order, seen, claimed[over], self._places, widths, loss)])

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.shared.numerics.elementwise import hypot, modulus
+from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
@@ -41,7 +41,7 @@ from cogradar.shared.tracking.belief.resampling import weigh
 from cogradar.shared.tracking.existence import TrackLooks, p_fa_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.motion import predicted_bins, predicted_states
-from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
+from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats, heard
 
 Ints = NDArray[np.int64]
 Gate = tuple[float, float]  # ranges, km
@@ -135,7 +135,7 @@ def detected_look(response: Response, scan: Detections, row: int, gate: Gate = (
     """The look of a detection in a row of the scan."""
     columns = (scan.nus, scan.sigma_hat, scan.limits, scan.nu_hats, scan.nu_sigmas, scan.ranges_km)
     nu, sigma_hat, limit, *measured = (float(column[row]) for column in columns)
-    r = min(float(modulus(scan.alpha_hat[row])) / sigma_hat, MAX_AMPLITUDE)
+    r = min(float(heard(scan.alpha_hat[row])) / sigma_hat, MAX_AMPLITUDE)
     nu_hat, nu_sigma, range_km = measured
     return found_look(response, nu, sigma_hat, limit, r, (nu_hat, nu_sigma, range_km), gate)
 

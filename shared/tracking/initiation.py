@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.numerics.elementwise import arcsin, exp, interpolated, log, log_sum_exp, modulus
+from cogradar.shared.numerics.elementwise import arcsin, exp, interpolated, log, log_sum_exp
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.radar_equation import amplitude
 from cogradar.shared.signal.response import draw_positions, placed
@@ -19,7 +19,7 @@ from cogradar.shared.tracking.association import detected_look
 from cogradar.shared.tracking.belief.likelihood import Looks, anywhere, likelihood_of
 from cogradar.shared.tracking.belief.resampling import DIM, resample, weigh
 from cogradar.shared.tracking.model import TrackerModel
-from cogradar.shared.tracking.sensor import Floats, log_hit_probability
+from cogradar.shared.tracking.sensor import Floats, heard, log_hit_probability
 
 Ints = NDArray[np.int64]
 LogLikelihood = Callable[[Floats], Floats]  # of ranges in km, (n,) -> (n,)
@@ -91,7 +91,7 @@ def initial_belief(
     law = model.sensor.law
     used = sigma_hat > 0.0
     sigma = sigma_hat[used].astype(np.float64)
-    r = modulus(alpha_hat[used]).astype(np.float64) / sigma
+    r = heard(alpha_hat[used]).astype(np.float64) / sigma
     gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: Floats) -> Floats:
@@ -118,7 +118,7 @@ def draw_places(
     n_bin, law = model.sensor.n_bin, model.sensor.law
     bins = np.arange(max(bin_ - 1, 0), min(bin_ + 2, n_bin))
     centres = bin_centres(n_bin)
-    strongest = max(float(modulus(scan.alpha_hat[bins]).max()) for scan in scans)
+    strongest = max(float(heard(scan.alpha_hat[bins]).max()) for scan in scans)
     grid = np.linspace(0.0, _STRONGER * strongest, _AMPLITUDES + 1)
     tables = [_log_likelihood(law.log_likelihood, scans, int(bin_), grid) for bin_ in bins]
     reach = _REACH / (n_bin - 1)
@@ -145,7 +145,7 @@ def _log_likelihood(
 ) -> Floats:
     """Of each amplitude of the echo in a cell, from all scans that have a noise estimate; (n,) -> (n,)."""
     seen = [
-        (float(modulus(scan.alpha_hat[bin_])), float(scan.sigma_hat[bin_]))
+        (float(heard(scan.alpha_hat[bin_])), float(scan.sigma_hat[bin_]))
         for scan in scans
         if scan.sigma_hat[bin_] > 0.0
     ]

@@ -14,12 +14,12 @@ fluctuates, or is not known, is a law of `cogradar.shared.signal.echo_laws`.
 
 from functools import lru_cache
 from math import ceil, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.shared.numerics.elementwise import exp, log
+from cogradar.shared.numerics.elementwise import exp, log, modulus
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.echo_laws import LAWS, EchoLaw
 from cogradar.shared.signal.radar_equation import amplitude_at_1_km
@@ -57,6 +57,13 @@ class Sensor(NamedTuple):
     def law(self) -> EchoLaw:
         """How the amplitudes of detections are distributed."""
         return LAWS[self.rcs]
+
+
+def heard(alpha_hat: NDArray[np.complex64]) -> Any:
+    """|alpha_hat| as scans have it, in single precision unless it overflows there, as squares do from 1.8e19; (...)."""
+    with np.errstate(over="ignore"):
+        found = modulus(alpha_hat)
+    return modulus(np.asarray(alpha_hat, dtype=np.complex128)) if np.isinf(found).any() else found
 
 
 @inlined

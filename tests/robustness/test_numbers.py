@@ -22,6 +22,12 @@ def loudness(db: float) -> tuple[str, str]:
     return f"radar.echo.amplitude_db={db}", f"world.echo.amplitude_db={db}"
 
 
+STRONGEST = (  # above 1.8e19, so that their squares overflow in single precision
+    targets("{state=[0.0, 0.0, 0.001, 0.0], rcs_db=100.0}", f"{{state={FAR}, rcs_db=100.0}}"),
+    "radar.acquisition.range_min_km=0.001",
+    "radar.array.power=1e6",
+    *loudness(200.0),
+)
 EXTREMES: dict[str, tuple[int, tuple[str, ...]]] = {
     "targets that come to one place": (
         12,
@@ -48,15 +54,8 @@ EXTREMES: dict[str, tuple[int, tuple[str, ...]]] = {
         (*UNKNOWN, targets(f"{{state={NEAR}, gone_s=20.0}}", f"{{state={FAR}, gone_s=20.0}}")),
     ),
     "nothing is ever detected": (300, (*UNKNOWN, *loudness(-100.0))),
-    "the strongest echoes": (
-        8,
-        (
-            targets("{state=[0.0, 0.0, 0.001, 0.0], rcs_db=100.0}", f"{{state={FAR}, rcs_db=100.0}}"),
-            "radar.acquisition.range_min_km=0.001",
-            "radar.array.power=1e6",
-            *loudness(200.0),
-        ),
-    ),
+    "the strongest echoes": (8, STRONGEST),
+    "the strongest echoes of whom nobody announced": (8, (*UNKNOWN, *STRONGEST)),
     "the most power": (8, ("radar.array.power=1e6",)),
     "hardly any power": (4, ("radar.array.power=1e-300", "radar.acquisition.max_scans=5")),
     "hardly any power for whom nobody announced": (8, (*UNKNOWN, "radar.array.power=1e-300")),
