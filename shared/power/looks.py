@@ -53,7 +53,8 @@ def emitted(
     pays = requests.chances > LEAST_CHANCE
     pays[:, 0] = True
     rows, columns = np.nonzero(pays & is_open & ~is_fixed[:, np.newaxis])
-    left = array.power - shares.sum() - (0.0 if given is None else given.power)
+    of_given = 0.0 if given is None else given.power
+    left = array.power - shares.sum() - of_given
     is_optimal = True
     if rows.size:
         times = wanted(radar, requests)
@@ -61,7 +62,7 @@ def emitted(
         bought = most_detections(_curve(radar), worths[rows, columns], (requests.gains / times)[rows], left)
         shares[rows, columns], is_optimal = bought.powers, bought.is_optimal
     else:  # all have what they asked for
-        shares *= array.power / shares.sum()
+        shares *= (array.power - of_given) / shares.sum()
     if given is not None:
         shares[given.track, given.column] += given.power
     order = np.argsort(-shares, axis=1, kind="stable")

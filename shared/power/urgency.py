@@ -21,7 +21,7 @@ from cogradar.shared.power.wide import sure_powers, wanted
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 TURN = 10  # dwells: of so many, one has a look for one track in turn, every TURN * M dwells for each
-MOST = 0.9  # of the power, for the track whose turn it is
+MOST = 0.9  # of the power that is not fixed, for the track whose turn it is
 LEAST = 1e-4  # worth of any look: somebody is lit even if all is known
 
 
@@ -42,7 +42,7 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     if is_turn == 0:
         track = turn % requests.gains.size
         if is_open[track].any():
-            most = MOST * radar.array.power
+            most = MOST * (radar.array.power - float(np.where(is_open[:, 0], requests.fixed, 0.0).sum()))
             sure = float(sure_powers(radar, requests.gains / wanted(radar, requests))[track])
             given = First(track, int(np.argmax(is_open[track])), min(sure, most))
     return emitted(radar, requests, worths, is_open, given)

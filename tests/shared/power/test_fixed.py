@@ -34,6 +34,20 @@ def test_a_track_has_the_power_that_it_asks_for_and_all_of_it_is_radiated(object
         assert (echo > 0.1).all()
 
 
+@pytest.mark.parametrize("fixed", [np.array([0.0, 0.3, 0.2]), np.array([0.0, 0.8, 0.0])])
+def test_a_turn_takes_no_power_that_is_fixed(fixed: np.ndarray) -> None:
+    """That of the first track, whose look would need more than all of it; also if its only open cell is improbable."""
+    radar = load("paper", ['radar.allocation.objective="urgency"']).radar
+    weak = _requests(fixed, k=0, gains=np.array([1.0, 8e3, 4e3]))
+    beside = np.array([[NUS[1], 0.0], [NUS[1], NUS[1]], [NUS[2], NUS[2]]])
+    hidden = weak._replace(nus=beside, chances=np.array([[0.9, 0.005], [1.0, 0.0], [1.0, 0.0]]))
+    for requests in (weak, hidden):
+        sent = power_rule("power-aware")(radar, requests)
+        assert (sent.shares >= 0.0).all()
+        assert sent.shares.sum() == pytest.approx(1.0)
+        assert sent.shares[1].max() >= 0.99 * fixed[1]
+
+
 def test_looks_are_not_widened_at_the_cost_of_what_is_fixed() -> None:
     radar = load("paper", ['radar.allocation.objective="detections"']).radar
     reaches, astray = np.full(3, 2), np.array([True, False, False])
