@@ -118,6 +118,31 @@ def times(a: ArrayLike, b: ArrayLike) -> Complexes:
     return found
 
 
+@kernel
+def whole_power(z: complex, n: int) -> complex:
+    """z^n, n >= 0, also in kernels: `**` asks the C library for the modulus, which differs between processors."""
+    if n == 0:
+        return 1.0 + 0.0j
+    if n == 2:
+        return z * z
+    size, turn = math.pow(_exact_modulus(abs(z.real), abs(z.imag)), n), math.atan2(z.imag, z.real) * n
+    return complex(size * math.cos(turn), size * math.sin(turn))
+
+
+@kernel
+def _exact_modulus(x: float, y: float) -> float:
+    """sqrt(x^2 + y^2) of x, y >= 0, not both 0, to less than a unit in the last place (Borges 2019)."""
+    large, small = max(x, y), min(x, y)
+    found = math.sqrt(large * large + small * small)
+    if found <= 2.0 * small:
+        over = found - small
+        error = large * (2.0 * over - large) + (over - 2.0 * (large - small)) * over
+    else:
+        over = found - large
+        error = 2.0 * over * (large - 2.0 * small) + ((4.0 * over - small) * small + over * over)
+    return found - error / (2.0 * found)
+
+
 def log_sum_exp(x: Floats) -> Floats:
     """log sum exp(x) over the last axis, (..., n) -> (...); -inf of nothing but -inf."""
     top = x.max(axis=-1, keepdims=True)

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.numerics.elementwise import modulus, squared_modulus, times
+from cogradar.shared.numerics.elementwise import modulus, squared_modulus, times, whole_power
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import energy, product
 from cogradar.shared.signal.detector.levels import Levels, level_of
@@ -310,7 +310,7 @@ def _isotropic(y: Complexes, n_rx: int, n_lag: int, level: float, steps: Complex
     alphas, bs = totals / (level * n), np.empty(steps.size)
     for j in range(steps.size):
         step, c, first_sum, last_sum, turn = steps[j], alphas[j] * level * level, 0j, 0j, 1.0 + 0j
-        into_last_channel = np.conj(step) ** (n_rx - 1)
+        into_last_channel = whole_power(np.conj(step), n_rx - 1)
         own = level * level * within[0].real - n * (c.real * c.real + c.imag * c.imag)
         cross = 0.0
         for m in range(1, n_lag + 1):

@@ -54,6 +54,12 @@ def test_powers_and_products_broadcast() -> None:
     np.testing.assert_allclose(elementwise.squared_modulus(a), np.abs(a) ** 2, rtol=1e-15)
 
 
+@pytest.mark.parametrize("n", [0, 1, 2, 5, 31])
+def test_whole_powers_of_complex_numbers_are_those_of_python(n: int) -> None:
+    for z in np.random.default_rng(n).normal(size=(20, 2)).view(np.complex128)[:, 0].tolist():
+        assert elementwise.whole_power(z, n) == pytest.approx(z**n, rel=1e-14)
+
+
 def test_sum_of_exponentials_and_interpolation_equal_the_library() -> None:
     rng = np.random.default_rng(2)
     x = np.concatenate((rng.normal(0.0, 300.0, (4, 6)), np.full((1, 6), -np.inf)))
