@@ -236,15 +236,26 @@ def _diagonalise(a: Floats, vectors: Floats) -> None:
 
 
 @kernel
+def _pivot(a: Any, j: int) -> int:
+    """Row of the largest element of a column from its diagonal on."""
+    found = j
+    for i in range(j + 1, a.shape[0]):
+        if squared_modulus(a[i, j]) > squared_modulus(a[found, j]):
+            found = i
+    if squared_modulus(a[found, j]) == 0.0:  # so are the squares of the smallest numbers
+        for i in range(j + 1, a.shape[0]):
+            if abs(a[i, j].real) + abs(a[i, j].imag) > abs(a[found, j].real) + abs(a[found, j].imag):
+                found = i
+    return found
+
+
+@kernel
 def _eliminate(a: Any, b: Any) -> bool:
     """Solve a x = b for the columns of b, in place; False of a singular matrix."""
     n = a.shape[0]
     for j in range(n):
-        pivot = j
-        for i in range(j + 1, n):
-            if squared_modulus(a[i, j]) > squared_modulus(a[pivot, j]):
-                pivot = i
-        if not squared_modulus(a[pivot, j]) > 0.0:
+        pivot = _pivot(a, j)
+        if a[pivot, j] == 0.0:
             return False
         if pivot != j:
             for both in (a, b):

@@ -40,6 +40,12 @@ def test_products_of_other_shapes_and_singular_matrices_are_refused() -> None:
         linear.solve(np.ones((2, 2)), np.ones(2))
 
 
+def test_elements_whose_squares_vanish_are_pivots_and_what_is_not_a_number_stays_so() -> None:
+    tiny = np.array([[0.0, 2e-300j], [1e-300, 0.0]])
+    np.testing.assert_allclose(linear.solve(tiny, np.array([2e-300, 3e-300])), [3.0, -1j], rtol=1e-15)
+    assert np.isnan(linear.solve(np.array([[np.nan]]), np.ones(1))).all()
+
+
 @pytest.mark.parametrize("shape", [(30, 3), (20, 20), (5, 9), (4, 0)])
 def test_singular_values_and_vectors_equal_numpy(shape: tuple[int, int]) -> None:
     a = drawn(np.random.default_rng(3), *shape)
