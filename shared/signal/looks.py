@@ -94,6 +94,8 @@ def reported(cells: Sequence[Measured], straddled_km: float = 0.0) -> list[Measu
 def _is_of_one_echo(stronger: Measured, weaker: Measured, straddled_km: float) -> bool:
     """Whether two cells of a look may have the echo of one target: neighbours in range, amplitudes in phase."""
     is_beside = 0.0 < abs(stronger.range_km - weaker.range_km) < NEIGHBOURS * straddled_km
-    turned = weaker.cell.alpha_hat * stronger.cell.alpha_hat.conjugate()
-    quadrature = abs(turned.imag) / max(modulus(stronger.cell.alpha_hat), _TINY)
-    return is_beside and turned.real > 0.0 and quadrature <= IN_PHASE * weaker.cell.sigma_hat
+    own, other = weaker.cell.alpha_hat, stronger.cell.alpha_hat
+    # Of `own` times the conjugate of the other, by the parts: a compiler of Python may contract its own product.
+    along, across = own.real * other.real + own.imag * other.imag, own.imag * other.real - own.real * other.imag
+    quadrature = abs(across) / max(modulus(other), _TINY)
+    return is_beside and along > 0.0 and quadrature <= IN_PHASE * weaker.cell.sigma_hat

@@ -27,6 +27,7 @@ DAMAGED: tuple[type[Exception], ...] = (
     *(RuntimeError, SyntaxError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
 SMALLEST = 1e-20  # mean power; of noise 1 is meant
+_SUMMED = 1 << 16  # numbers of which the squares are summed at once
 AXES = ("dwell", "range", "tx", "rx", "channel", "time", "iq")  # what an axis of a recording may count
 _CHANNELS = (["tx", "rx"], ["channel"])  # how the channels of a data set may be given; what is missing is in `time`
 Wanted = Callable[[str, int], bool]  # whether an array of this name, of so many, is to be read
@@ -102,7 +103,8 @@ def read(file: Path, sha: str, layout: Layout) -> Recording:
             " finite"
         )
     parts = data.view(np.float32).ravel()
-    power = float(np.einsum("i,i", parts, parts, dtype=np.float64)) / data.size
+    split = np.split(parts, range(_SUMMED, parts.size, _SUMMED))
+    power = sum(float(np.sum(np.square(one, dtype=np.float64))) for one in split) / data.size
     if power == 0.0:
         raise RecordingError(f"{file}: is 0 everywhere, must have a disturbance")
     scale = np.float64(layout.scale or power**-0.5)

@@ -17,6 +17,7 @@ LIBRARY = {"exp", "expm1", "log", "log10", "log1p", "log2", "exp2", "tan", "tanh
 LIBRARY |= {"arccos", "power", "sinh", "cosh", "arccosh", "arcsinh", "arctanh", "float_power", "logaddexp"}
 NOWHERE = {"linalg", "fft", "hypot", "cbrt", "dot", "vdot", "matmul", "einsum", "tensordot", "inner", "convolve"}
 NOWHERE |= {"correlate", "poly", "polyfit", "polyval", "polynomial", "interp", "cov", "corrcoef", "kron", "trapezoid"}
+NOWHERE |= {"angle", "geomspace", "logspace", "unwrap"}
 # Of SciPy: the same bytes everywhere (ADR 42), or not numbers at all.
 SCIPY = {"chndtr", "linear_sum_assignment", "minimize_scalar", "Akima1DInterpolator", "loadmat", "whosmat"}
 SCIPY |= {"MatReadError"}
@@ -28,7 +29,6 @@ EXCEPTIONS = {
     "shared/protocol/fields.py:_is_small": "whether a message has numbers that are far too large",
     "shared/protocol/recovery.py:_is_mixture": "a view of diagonals",
     "shared/scenario/cross_checks.py": "whether a scenario is refused",
-    "shared/signal/recording.py": "the scale of a recording is not on the way yet",
     "services/emulator/front_end.py:calibrate": "what `cogradar calibrate` says of recorded data",
 }
 
@@ -59,7 +59,8 @@ def _calls(node: ast.AST, file: str, function: str, *, is_kernel: bool) -> Itera
 
 
 def _forbidden(node: ast.AST, *, is_kernel: bool) -> str:
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+    is_method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "dot"
+    if is_method or (isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult)):
         return "@: take `product`"
     if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("scipy"):
         return ", ".join(one.name for one in node.names if one.name not in SCIPY)
@@ -84,6 +85,7 @@ def _is_numpy(node: ast.Attribute) -> bool:
         ("np.exp(x)", True),
         ("np.exp(2j * x)", False),
         ("np.linalg.norm(x)", True),
+        ("x.T.dot(y)", True),
         ("np.sqrt(x)", False),
         ("from scipy.special import i0e", True),
         ("from scipy.special import chndtr", False),
