@@ -1,5 +1,6 @@
 """Who runs: every process of the system on one page."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -54,7 +55,11 @@ def _recorder(start: Start) -> Core:
     keep = Retention(start.keep_runs, start.keep_days, start.keep_hours)
     if start.keep_bytes is not None:
         keep = replace(keep, bytes_of_run=start.keep_bytes)
-    return Recorder(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
+    return Recorder(Journal(start.store, owner=start.name), resume=start.resume, keep=keep, beside=_in_thread)
+
+
+def _in_thread(work: Callable[[], None]) -> None:
+    threading.Thread(target=work, name="beside", daemon=True).start()
 
 
 def _metrics(start: Start) -> Core:

@@ -89,6 +89,17 @@ class OrderBook:
         self.orders = [*kept, order]
         return order, replaced
 
+    @property
+    def takes_accuracies(self) -> bool:
+        """Whether an accuracy may be granted; its bound takes a second to load."""
+        return self._radar.belief.filter == "gaussian"
+
+    def load(self) -> None:
+        """Load what an accuracy is refused by. It may go on in a thread while commands are granted."""
+        from cogradar.services.delivery.accuracy import load
+
+        load(self._radar, self._strategy)
+
     def end(self, k: int, known_k: int, born_ks: Mapping[int, int]) -> list[int]:
         """Drop the orders that shape no dwell from k on; their numbers.
 
@@ -125,7 +136,7 @@ class OrderBook:
                 self._check_together(order)
             case Accuracy():
                 self._needs_track(order.action, at.tracks, is_later=is_later)
-                if self._radar.belief.filter != "gaussian":
+                if not self.takes_accuracies:
                     raise Refused(
                         "accuracy: only where directions and ranges are measured and beliefs are Gaussians"
                         ' (radar.belief.filter = "gaussian")'
@@ -147,7 +158,7 @@ class OrderBook:
         """Raises Refused if all the power there is cannot do it."""
         if action.km is None:
             return
-        from cogradar.services.delivery.accuracy import check_accuracies  # a second of import, for those who ask
+        from cogradar.services.delivery.accuracy import check_accuracies  # a second of import: `load`
 
         there = in_force(self.orders, k)
         radar, strategy = under(self._radar, self._strategy, settings_of(there))

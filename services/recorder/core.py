@@ -8,7 +8,7 @@ import logging
 from collections.abc import Sequence
 
 from cogradar.services.delivery.invariant import require
-from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, commands_kept_free
+from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import BY_USER
 from cogradar.services.recorder.file.database import deposed
@@ -116,6 +116,10 @@ class RecorderCore:
         require({row[0] for row in rows} == self._runs.keys(), "other runs go on than the journal says")
         for name, *acknowledged in rows:
             self._runs[name].validate(tuple(acknowledged))
+
+    def accurate(self) -> OrderBook | None:
+        """The orders of a run that may be asked for accuracies, if one goes on."""
+        return next((run.orders for run in self._runs.values() if run.orders.takes_accuracies), None)
 
     def _knows(self, run: str) -> bool:
         return bool(self._journal.read("SELECT 1 FROM run WHERE run = ?", [run]))

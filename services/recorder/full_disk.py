@@ -9,7 +9,7 @@ lockstep stand still meanwhile, as nothing is acknowledged. In real time the rad
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from cogradar.services.errors import NoRoom
 from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by
@@ -26,8 +26,16 @@ log = logging.getLogger(__name__)
 class Recorder:
     """A recorder's core while there is room, and what is said when there is none."""
 
-    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
-        """As `RecorderCore` has it."""
+    def __init__(
+        self,
+        journal: Journal,
+        *,
+        resume: bool = False,
+        keep: Retention | None = None,
+        beside: Callable[[Callable[[], None]], None] = lambda _: None,
+    ) -> None:
+        """As `RecorderCore` has it; `beside` begins something that may go on while messages are handled."""
+        self._beside, self._is_loaded = beside, False
         self._journal, self._resume, self._retention = journal, resume, keep
         self._core: RecorderCore | None = None
         self._ticks = self._looked = 0
@@ -66,6 +74,9 @@ class Recorder:
         self._journal.close()
 
     def _go_on(self, core: RecorderCore, event: Event) -> Sequence[Message]:
+        if isinstance(event, Tick) and not self._is_loaded and (orders := core.accurate()) is not None:
+            self._is_loaded = True
+            self._beside(orders.load)  # or the first accuracy would keep all runs waiting for a second
         self._looked += isinstance(event, Tick)
         if isinstance(event, Tick) and self._looked % LOOK_TICKS == 0:
             self._journal.check_leads()

@@ -365,6 +365,18 @@ def test_however_much_was_asked_of_a_run_it_can_be_paused_resumed_and_ended(monk
     assert _rows(journal, "k")[-1][0] == AHEAD + 1
 
 
+def test_what_accuracies_are_refused_by_is_loaded_once_beside_the_first_run_that_takes_them() -> None:
+    begun = list[object]()
+    recorder = Recorder(Journal(":memory:"), beside=begun.append)
+    recorder.handle(smoke_start(dwells=9).model_copy(update={"run": "particles"}))
+    recorder.handle(Tick(0.0))
+    assert begun == []
+    recorder.handle(sky_start(dwells=9))
+    for at_s in (0.25, 0.5):
+        recorder.handle(Tick(at_s))
+    assert len(begun) == 1
+
+
 def test_a_run_that_is_not_there_is_not_commanded_nor_one_without_room() -> None:
     journal, core = _begun(smoke_start())
     with pytest.raises(Refused, match="no such run goes on"):
