@@ -7,8 +7,8 @@
     observation, info = environment.reset(seed=1)
     observation, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
 
-Front end, detector, beliefs and scores are those of `cogradar.run`; only the waveform is the agent's. An episode is a
-run: it begins after the acquisition, where there is one, and is truncated after its last dwell. Needs Gymnasium:
+Front end, detector, beliefs and scores are the same as in `cogradar.run`; only the waveform is the agent's. An episode
+is a run: it begins after the acquisition, where there is one, and is truncated after its last dwell. Needs Gymnasium:
 pip install 'cogradar[gym]'.
 """
 

@@ -51,7 +51,7 @@ def load(name_or_path: str | Path, settings: Settings = ()) -> Scenario:
 
 
 class Dwell:
-    """One dwell of a run that is being played; its tables have the columns of those of `Result`."""
+    """One dwell of a run that is being played; its tables have the same columns as in `Result`."""
 
     def __init__(self, said: "in_process.Dwell", scenario: Scenario) -> None:
         self._said, self._scenario = said, scenario
@@ -232,7 +232,7 @@ def play(scenario: Scenario | str | Path, **how: Unpack[Playing]) -> Player:
     scenario : a Scenario, or what `load` takes
     how      : of `Playing`
 
-    The dwells of the acquisition come first. Errors are those of `run`.
+    The dwells of the acquisition come first. Raises the same errors as `run`.
     """
     from cogradar.services.front_ends import settled
 
@@ -263,7 +263,7 @@ def run(
 
     scenario : a Scenario, or what `load` takes
     progress : called after each dwell with the tracking dwells done and those to do
-    callback : called with each `Dwell`, those of the acquisition included
+    callback : called with each `Dwell`, from the acquisition on
     how      : of `Playing`
 
     Raises BadInput for arguments that make no sense, RunFailed if the run does not reach its end. The first call after
