@@ -4,11 +4,13 @@ import atexit
 import hashlib
 import inspect
 import os
+import re
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -21,18 +23,45 @@ from numba.extending import register_jitable
 P = ParamSpec("P")
 T = TypeVar("T")
 _SOURCES = Path(__file__).resolve().parent.parent  # all of `shared`
+_IMPORTS = re.compile(r"^\s*(?:from|import)\s+cogradar\.(shared[\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.MULTILINE)
+_MAKES_KERNELS = re.compile(r"^from cogradar\.shared\.(numerics\.jit|planning\.problem) import", re.MULTILINE)
+
+
+def kernel_sources() -> list[Path]:
+    """Sources of `shared` that a compiled kernel can depend on: the modules with kernels, and all that they import.
+
+    Messages, the wire and scores are not among them: a change there leaves the kernels as they are.
+    """
+    texts = {source: source.read_text(encoding="utf-8") for source in _SOURCES.rglob("*.py")}
+    found: set[Path] = set()
+    left = [source for source, text in texts.items() if _MAKES_KERNELS.search(text)]
+    while left:
+        source = left.pop()
+        if source in texts and source not in found:
+            found.add(source)
+            left += _imported(texts[source])
+    return sorted(found)
+
+
+def _imported(text: str) -> Iterator[Path]:
+    """Files that import statements of `shared` can mean: modules, packages, and names that are modules."""
+    for module, names in _IMPORTS.findall(text):
+        folder = _SOURCES.joinpath(*module.split(".")[1:])
+        yield folder.with_suffix(".py")
+        yield folder / "__init__.py"
+        yield from (folder / f"{name}.py" for name in re.findall(r"\w+", names))
 
 
 def cache_dir() -> Path:
-    """Folder of the compiled kernels, one per state of the sources.
+    """Folder of the compiled kernels, one per state of their sources.
 
     Numba stamps a cached kernel with its own file only, so a change in a kernel that was inlined from another file
-    would go unseen. A folder named after all sources of `shared` and the compiler makes that impossible, and
-    `_KernelCache` does the same for types declared elsewhere.
+    would go unseen. A folder named after the sources and the compiler makes that impossible, and `_KernelCache` does
+    the same for types declared elsewhere.
     """
     # Numba's index is by path: a second checkout of the same sources would find the mark, but not the kernels.
     digest = hashlib.sha256(f"{numba.__version__} {sys.version} {_SOURCES}".encode())
-    for source in sorted(_SOURCES.rglob("*.py")):
+    for source in kernel_sources():
         digest.update(str(source.relative_to(_SOURCES)).encode())
         digest.update(source.read_bytes())
     root = os.environ.get("COGRADAR_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or _home_cache()
@@ -76,12 +105,13 @@ def _choose() -> tuple[Path, str]:
 
 # Of this process, whatever happens to the sources meanwhile; and why it is only of this command, if it is.
 CACHE_DIR, NOT_KEPT = _choose()
+_of_the_folder = cache(lambda: frozenset(kernel_sources()))
 CACHED = not _refusal(CACHE_DIR)
 numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
 class _KernelCache(FunctionCache):  # type: ignore[misc] # numba is not typed
-    """The compiled versions of one kernel; those for types from outside `shared` have an index of their own.
+    """The compiled versions of one kernel; those for types from other sources have an index of their own.
 
     Its name has a digest of the files that declare these types: a change of such a file compiles anew, and a program
     that cannot import the types never reads an index that names them.
@@ -112,14 +142,14 @@ class _KernelCache(FunctionCache):  # type: ignore[misc] # numba is not typed
 
 
 def _foreign_files(argument_types: Iterable[Any]) -> set[Path]:
-    """Files outside `shared` that declare a named tuple among these types."""
+    """Files that declare a named tuple among these types and after which the folder is not named."""
     files: set[Path] = set()
     for kind in argument_types:
         if isinstance(kind, types.BaseTuple):
             files |= _foreign_files(kind)
         if isinstance(kind, types.BaseNamedTuple):
             files.add(Path(inspect.getfile(kind.instance_class)).resolve())
-    return {file for file in files if not file.is_relative_to(_SOURCES)}
+    return files - _of_the_folder()
 
 
 class _Made:

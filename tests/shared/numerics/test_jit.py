@@ -32,21 +32,43 @@ def test_a_process_started_by_a_test_shares_that_folder() -> None:
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(CACHE_DIR)
 
 
-def test_a_change_of_any_source_is_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_change_of_what_kernels_depend_on_is_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit, "_SOURCES", tmp_path)
     room = tmp_path / "signal" / "inner"
     room.mkdir(parents=True)
-    (room / "a.py").write_text("x = 1")
+    (room / "a.py").write_text(
+        "from cogradar.shared.numerics.jit import kernel\nfrom cogradar.shared.signal import (\n    b,\n)\n"
+    )
+    (tmp_path / "signal" / "b.py").write_text("def f() -> None:\n    import cogradar.shared.c\n")
+    (tmp_path / "c.py").write_text("x = 1")
+    (tmp_path / "messages.py").write_text("x = 1")
     folders = [jit.cache_dir()]
-    (room / "a.py").write_text("x = 2")
+    (tmp_path / "messages.py").write_text("x = 2")
+    (tmp_path / "notes.txt").write_text("no source")
+    assert jit.cache_dir() == folders[0]
+    (tmp_path / "c.py").write_text("x = 2")
     folders.append(jit.cache_dir())
-    (room / "a.py").rename(room / "b.py")
+    (tmp_path / "signal" / "b.py").write_text("x = 1")
     folders.append(jit.cache_dir())
-    (room / "b.py").rename(tmp_path / "b.py")
+    (room / "a.py").rename(tmp_path / "signal" / "a.py")
     folders.append(jit.cache_dir())
     assert len(set(folders)) == 4
-    (tmp_path / "notes.txt").write_text("no source")
-    assert jit.cache_dir() == folders[-1]
+
+
+def test_nothing_that_a_module_with_kernels_imports_is_left_out() -> None:
+    """As Python itself sees it: all modules of `shared` that are there once the kernels' are imported."""
+    script = (
+        "import sys, importlib\n"
+        "from pathlib import Path\n"
+        "from cogradar.shared.numerics import jit\n"
+        "root = jit._SOURCES\n"
+        "for source in jit.kernel_sources():\n"
+        "    importlib.import_module('.'.join(('cogradar.shared', *source.relative_to(root).with_suffix('').parts)))\n"
+        "here = [m.__file__ for n, m in sys.modules.items() if n.startswith('cogradar.shared.')]\n"
+        "files = {Path(file).resolve() for file in here if file and '__init__' not in file}\n"
+        "print(*sorted(files - set(jit.kernel_sources())))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout == "\n"
 
 
 @pytest.mark.parametrize("folder", ["/proc/x", "/dev/null/x"])
