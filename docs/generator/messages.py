@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 
 from cogradar.shared.protocol import fields
 from cogradar.shared.protocol.messages import Message
-from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, QUERYABLES, TOPICS, Role
 from docs.generator.markdown import code, prose, table
 
 _ARRAYS = {
@@ -64,9 +64,7 @@ def keys() -> str:
     rows = [
         (code(ALIVE), "liveliness token of a process"),
         (code(CLAIM), "liveliness token of a process that wants to be the only one of its role"),
-        (code(QUERY), "queryable of the metrics service"),
-        (code(TIMESTAMPS), "queryable of every process: when it received and sent what"),
-        (code(EXPOSITION), "queryable of every process: its metrics, as Prometheus reads them"),
+        *((code(queryable.key), f"queryable: {queryable.meaning}") for queryable in QUERYABLES),
     ]
     return table(("key", "what it is"), rows)
 

@@ -76,6 +76,16 @@ class Topic:
         return self.message.__name__.lower()
 
     @property
+    def schema(self) -> str:
+        """Identifier of its messages' schema; another version of the protocol has others."""
+        return f"urn:cogradar:{PROTOCOL}:{self.name}"
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh's encoding of each of its samples, for tools that read no MessagePack; no receiver looks at it."""
+        return f"application/msgpack;schema={self.schema}"
+
+    @property
     def key(self) -> str:
         """Its key, with the {build} of a sender that takes part in runs, and what `end` has."""
         return f"{_ROOT}/" + ("" if self.producer is Role.OPERATOR else "{build}/") + self.end
@@ -123,12 +133,29 @@ TOPICS = (
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 
+
+@dataclass(frozen=True)
+class Queryable:
+    """What processes answer when they are asked: the key of the questions, the encoding of the answers."""
+
+    key: str
+    answerers: tuple[Role, ...]
+    encoding: str
+    meaning: str
+
+
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
 # Liveliness token of a process that wants to be the only one of its role: of several the lowest moment, in text, stays.
 CLAIM = "cogradar/claim/{protocol}/{role}/{moment}/{name}"
-QUERY = f"{_ROOT}/query/{{metric}}"  # queryable of the metrics service
-TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"  # queryable of every process: when it received and sent what
-EXPOSITION = f"{_ROOT}/exposition/{{role}}/{{name}}"  # queryable of every process: its metrics, for Prometheus
+QUERY = f"{_ROOT}/query/{{metric}}"
+TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"
+EXPOSITION = f"{_ROOT}/exposition/{{role}}/{{name}}"
+
+QUERYABLES = (
+    Queryable(QUERY, (_M,), "application/json", "what is known of runs"),
+    Queryable(TIMESTAMPS, tuple(Role), "application/json", "when a process received and sent its newest messages"),
+    Queryable(EXPOSITION, tuple(Role), "text/plain;version=0.0.4", "metrics of a process, as Prometheus reads them"),
+)
 
 
 def topics_read_by(role: Role) -> tuple[Topic, ...]:

@@ -12,13 +12,16 @@ from urllib.parse import quote, unquote
 import zenoh
 
 from cogradar.shared.protocol.build import difference
-from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, PROTOCOL, QUERY, Role
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, EXPOSITION, PROTOCOL, QUERY, QUERYABLES, Role
 
 log = logging.getLogger(__name__)
 
 MAX_QUESTION = 4096  # characters of a question's parameters
 STAYS_S = 1.0  # for which a later claim must be there: one that is only about to withdraw is gone by then
 POLL_S = 0.002  # for the replies to a query
+
+ENCODINGS = {queryable.key: zenoh.Encoding(queryable.encoding) for queryable in QUERYABLES}  # of answers
+REFUSAL = zenoh.Encoding.TEXT_PLAIN
 
 Answer = Callable[[str, Mapping[str, str]], bytes]  # of a metric, with parameters
 
@@ -194,13 +197,13 @@ def reply(query: zenoh.Query, answer: Answer) -> str:
             raise ValueError(f"a question longer than {MAX_QUESTION} characters")
         document = answer(str(query.key_expr).split("/")[-1], parameters(query))
     except ValueError as error:
-        query.reply_err(str(error).encode())
+        query.reply_err(str(error).encode(), encoding=REFUSAL)
         return "refused"
     except Exception as error:
         log.exception("query %s failed", query.selector)
-        query.reply_err(f"{type(error).__name__}: {error}".encode())
+        query.reply_err(f"{type(error).__name__}: {error}".encode(), encoding=REFUSAL)
         return "failed"
-    query.reply(query.key_expr, document)
+    query.reply(query.key_expr, document, encoding=ENCODINGS[QUERY])
     return "answered"
 
 

@@ -20,6 +20,7 @@ import zenoh
 from cogradar.shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
 from cogradar.shared.wire.codec import MAX_BYTES
 from cogradar.shared.wire.membership import LEASE_S
+from cogradar.shared.wire.queries import ENCODINGS
 from cogradar.shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
@@ -109,7 +110,7 @@ def run_router(
 
         def reply(query: zenoh.Query) -> None:
             with query:
-                query.reply(key, answer())
+                query.reply(key, answer(), encoding=ENCODINGS[pattern])
 
         session.declare_queryable(key, reply, complete=True)
 

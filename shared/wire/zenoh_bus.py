@@ -25,6 +25,7 @@ from cogradar.shared.protocol.topics import (
     PROTOCOL,
     QUERY,
     TIMESTAMPS,
+    TOPICS,
     GivesWay,
     Role,
     Topic,
@@ -34,10 +35,11 @@ from cogradar.shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, I
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, WHOLE, Parts, encode, join
 from cogradar.shared.wire.membership import LiveNames
 from cogradar.shared.wire.meter import Meter
-from cogradar.shared.wire.queries import Alive, Answer, alive, names_alive, parameters, reply
+from cogradar.shared.wire.queries import ENCODINGS, REFUSAL, Alive, Answer, alive, names_alive, parameters, reply
 from cogradar.shared.wire.timestamps import Timestamps
 
 LOT_BYTES = 64 << 10  # of messages that travel together
+_SAMPLES = {topic.message: zenoh.Encoding(topic.encoding) for topic in TOPICS}
 
 
 class _Payload(NamedTuple):
@@ -129,6 +131,7 @@ class ZenohBus:
         self._session.put(
             BY_MESSAGE[type(first)].key_of(first, self.build, self._slots),
             join([encoded.payload for encoded in lot]),
+            encoding=_SAMPLES[type(first)],
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
         )
@@ -166,13 +169,16 @@ class ZenohBus:
 
     def serve_timestamps(self, role: Role, name: str) -> None:
         """Report when asked, in the thread that calls `receive`, what was received and sent when."""
-        key = TIMESTAMPS.format(role=role, name=name)  # the question may be for all; the answer is on a key of our own
-        self._serve(key, lambda query: query.reply(key, self.timestamps.of(parameters(query).get("run", ""))))
+        # The question may be for all; the answer is on a key of our own.
+        key, encoding = TIMESTAMPS.format(role=role, name=name), ENCODINGS[TIMESTAMPS]
+        self._serve(
+            key, lambda query: query.reply(key, self.timestamps.of(parameters(query).get("run", "")), encoding=encoding)
+        )
 
     def serve_exposition(self, role: Role, name: str, text: Callable[[], bytes]) -> None:
         """Answer Prometheus's questions, in the thread that calls `receive`."""
-        key = EXPOSITION.format(role=role, name=name)
-        self._serve(key, lambda query: query.reply(key, text()))
+        key, encoding = EXPOSITION.format(role=role, name=name), ENCODINGS[EXPOSITION]
+        self._serve(key, lambda query: query.reply(key, text(), encoding=encoding))
 
     def is_connected(self) -> bool:
         """Whether there is a router."""
@@ -216,7 +222,7 @@ class ZenohBus:
                 self._queue.put(_Query(query, answer), key, n_byte)
             else:
                 with query:
-                    query.reply_err(b"too many questions wait")
+                    query.reply_err(b"too many questions wait", encoding=REFUSAL)
 
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 

@@ -9,7 +9,7 @@ import zenoh
 
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
-from cogradar.shared.protocol.topics import BY_MESSAGE, Role
+from cogradar.shared.protocol.topics import BY_MESSAGE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
 from cogradar.shared.wire.bus import MAX_WAITING_BYTES
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode
 from cogradar.shared.wire.session import open_session
@@ -62,6 +62,40 @@ def test_messages_of_one_topic_and_run_travel_together(connect: Connect) -> None
     arrivals = {row.arrived for row in reader.timestamps.received}
     assert len(arrivals) <= 5  # a full lot and the rest of it; three alone; the last is not noted yet
     assert len(planner.timestamps.sent) == len(sent)
+
+
+def test_samples_and_answers_say_how_they_are_encoded_and_no_reader_asks(connect: Connect, router: str) -> None:
+    reader, metrics = connect(Role.RECORDER, "m"), connect(Role.METRICS, "x")
+    senders = {role: connect(role, f"s-{role}") for role in dict.fromkeys(topic.producer for topic in TOPICS)}
+    metrics.serve_queries(lambda metric, _: {"runs": b"[]"}[metric])
+    metrics.serve_timestamps(Role.METRICS, "x")
+    metrics.serve_exposition(Role.METRICS, "x", lambda: b"cogradar_up 1")
+    with open_session([router], 10.0, lambda: None) as session:
+        heard = session.declare_subscriber("cogradar/**")
+        for topic in TOPICS:
+            senders[topic.producer].publish(sample(topic.message))
+            got = heard.recv()
+            assert str(got.encoding) == f"application/msgpack;schema=urn:cogradar:8:{topic.name}"
+        read = [topic for topic in TOPICS if Role.RECORDER in topic.readers]
+        assert len(_received(reader, len(read))) == len(read)
+        for lie in zenoh.Encoding("application/json"), zenoh.Encoding("\u2028;" * 50), None:
+            key = BY_MESSAGE[Plan].key_of(plan(), build())
+            session.put(key, encode(plan()), encoding=lie, congestion_control=zenoh.CongestionControl.BLOCK)
+        assert _received(reader, 3) == [plan()] * 3
+        assert reader.inbox.bad.total() == 0
+        answers = [
+            session.get(key.format(metric=metric, role="metrics", name="x"))
+            for key, metric in ((QUERY, "runs"), (QUERY, "nothing"), (TIMESTAMPS, ""), (EXPOSITION, ""))
+        ]
+        for _ in range(4):
+            metrics.receive(0.5)
+        replies = [next(iter(answer)) for answer in answers]
+    assert [str(said.encoding) for reply in replies if (said := reply.ok or reply.err)] == [
+        "application/json",
+        "text/plain",
+        "application/json",
+        "text/plain;version=0.0.4",
+    ]
 
 
 def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connect, router: str) -> None:
