@@ -22,7 +22,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -58,6 +58,10 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "browser and not nightly" $(if $(ARGS),$(ARGS),--ignore=$(PAGE_BY_THE_CLOCK)) $(PAGE)
 	$(if $(ARGS),,$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK))
+
+# AsyncAPI's own parser, and MessagePack in JavaScript. Without them their tests are skipped.
+node: ## what some tests run in Node; needs npm
+	npm ci --prefix tests/node --ignore-scripts --no-audit --no-fund
 
 screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
 	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page

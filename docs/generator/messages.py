@@ -1,37 +1,13 @@
 """Topics and messages: who says what to whom, and what is in it."""
 
-import inspect
-import re
-from types import NoneType
-from typing import get_args, get_origin, get_type_hints
+from collections.abc import Callable
+from typing import Any
 
-from pydantic.fields import FieldInfo
-
-from cogradar.shared.protocol import fields
-from cogradar.shared.protocol.messages import Message
-from cogradar.shared.protocol.topics import ALIVE, CLAIM, QUERYABLES, TOPICS, Role
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, QUERYABLES, TOPICS, Role, Topic
+from cogradar.shared.wire.contract.json_schema import Schema, described
 from docs.generator.markdown import code, prose, table
 
-_ARRAYS = {
-    "Ints": "int32, 1 axis",
-    "Beams": "int32, 2 axes",
-    "Cells": "int32, 1 axis",
-    "Chances": "float64, 1 axis",
-    "Gate": "float64, 1 axis",
-    "Floats": "float64, 1 axis",
-    "Measured": "float64, 1 axis; 0, or 1e-60 .. 1e60",
-    "FloatLists": "float64, 2 axes",
-    "State": "float64, (4,)",
-    "States": "float64, 2 axes",
-    "Covariance": "float64, (4, 4)",
-    "Particles": "float64, 2 axes",
-    "Complexes": "complex64, 1 axis",
-    "Factor": "complex64, 2 axes",
-    "RunId": "text",
-    "Index": "whole number from 0",
-    "Seed": "whole number from 0 below 2^63",
-}
-_FIELD = re.compile(r"^    (\w+): (.*?)(?:\s+# (.*))?$", re.MULTILINE)
+_ROUND = {2**31 - 1: "2^31 - 1", 2**48: "2^48", 2**62: "2^62", 2**63: "2^63"}
 
 
 def topics() -> str:
@@ -71,42 +47,84 @@ def keys() -> str:
 
 def messages() -> str:
     """A part per message, with a row per field."""
-    return "\n".join(f"### {topic.message.__name__}\n\n{_message(topic.message)}" for topic in TOPICS)
+    return "\n".join(
+        f"### {topic.message.__name__}\n\n{_fields(described(topic.message)[0])}\n{_delivery(topic)}"
+        for topic in TOPICS
+    )
 
 
-def _message(message: type[Message]) -> str:
-    hints = get_type_hints(message, include_extras=True)
-    comments: dict[str, str] = {}
-    for kind in reversed(message.__mro__[:-1]):
-        if issubclass(kind, Message):
-            comments |= {name: text for name, _, text in _FIELD.findall(inspect.getsource(kind))}
+def parts() -> str:
+    """A part per type that messages have fields of, with a row per field."""
+    shared: dict[str, Schema] = {}
+    for topic in TOPICS:
+        shared |= described(topic.message)[1]
+    kinds = {name: schema for name, schema in sorted(shared.items()) if "properties" in schema}
+    return "\n".join(f"### {name}\n\n{_fields(schema)}" for name, schema in kinds.items())
+
+
+def _delivery(topic: Topic) -> str:
+    return f"*Delivery:* {prose(topic.delivery.until)} *A process that joins late:* {prose(topic.delivery.late)}\n"
+
+
+def _fields(schema: Schema) -> str:
     rows = [
-        (code(name), _type(hints[name], field.annotation), _default(field), prose(comments.get(name, "")))
-        for name, field in message.model_fields.items()
+        (code(name), words(field), _default(name, field, schema), prose(field.get("description", "")))
+        for name, field in schema["properties"].items()
     ]
-    text = "\n\n".join(prose(paragraph) for paragraph in inspect.cleandoc(message.__doc__ or "").split("\n\n"))
+    text = "\n\n".join(prose(paragraph) for paragraph in schema["description"].split("\n\n"))
     return f"{text}\n\n{table(('field', 'type', 'if left out', 'meaning'), rows)}"
 
 
-def _type(hint: object, plain: object) -> str:
-    parts = get_args(hint)
-    if len(parts) == 2 and parts[1] is NoneType:
-        return f"{_type(parts[0], next(iter(get_args(plain)), plain))}, or none"
-    if get_origin(plain) is list:
-        return f"list: {_type(*get_args(plain) * 2)}"
-    known = next((text for name, text in _ARRAYS.items() if getattr(fields, name) == hint), None)
-    if known:
-        return known
-    if isinstance(plain, type) and not str(plain).startswith("dict"):
-        return {"int": "whole number", "float": "number", "bool": "true, false", "str": "text"}.get(
-            plain.__name__, code(plain.__name__)
-        )
-    return code(re.sub(r"typing\.|shared\.protocol\.fields\.", "", str(plain)))
+def words(schema: Schema) -> str:
+    """What a schema allows, in words."""
+    if choices := schema.get("anyOf") or schema.get("oneOf"):
+        texts = [words(choice) for choice in choices if choice != {"type": "null"}]
+        return ", ".join(texts) + (", or none" if {"type": "null"} in choices else "")
+    if "enum" in schema or "const" in schema:
+        return ", ".join(code(value) for value in schema.get("enum", [schema.get("const")]))
+    if "title" in schema or "$ref" in schema:
+        return str(schema.get("title")) if "title" in schema else code(schema["$ref"].rpartition("/")[2])
+    return _WORDS[schema["type"]](schema)
 
 
-def _default(field: FieldInfo) -> str:
-    if field.is_required():
+def _list(schema: Schema) -> str:
+    most = f" of at most {schema['maxItems']}" if "maxItems" in schema else ""
+    return f"list{most}: {words(schema['items'])}"
+
+
+def _text(schema: Schema) -> str:
+    return f"text of at most {schema['maxLength']} characters" if "maxLength" in schema else "text"
+
+
+def _limits(schema: Schema) -> str:
+    low, high, below = (schema.get(name) for name in ("minimum", "maximum", "exclusiveMaximum"))
+    if low is None:
         return ""
+    if high is None and below is None:
+        return f", {_number(low)} or more"
     return (
-        ("none" if field.default_factory is list else "zeros") if field.default_factory else code(repr(field.default))
+        f", {_number(low)} .. {_number(high)}" if high is not None else f", from {_number(low)}, below {_number(below)}"
     )
+
+
+_WORDS: dict[str, Callable[[Schema], str]] = {
+    "array": _list,
+    "boolean": lambda _: "true, false",
+    "integer": lambda schema: f"whole number{_limits(schema)}",
+    "number": lambda schema: f"number{_limits(schema)}",
+    "object": lambda _: "map",
+    "string": _text,
+}
+
+
+def _number(value: Any) -> str:
+    return _ROUND.get(value, f"{value:g}" if isinstance(value, float) else str(value))
+
+
+def _default(name: str, field: Schema, schema: Schema) -> str:
+    if name in schema.get("required", ()):
+        return ""
+    if "default" not in field:
+        return "none" if field.get("type") == "array" else "zeros"
+    default = field["default"]
+    return "none" if default is None else code(str(default).lower() if isinstance(default, bool) else repr(default))

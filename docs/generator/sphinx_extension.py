@@ -25,6 +25,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "who tells whom": messages.readers,
     "other keys": messages.keys,
     "messages": messages.messages,
+    "parts of messages": messages.parts,
     "commands": programs.commands,
     "page keys": programs.page_keys,
     "paths": programs.paths,

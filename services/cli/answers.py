@@ -1,8 +1,10 @@
-"""The commands about runs that are stored, or go on: query, export, replay, feed."""
+"""The commands about runs that are stored, or go on: query, export, replay, feed; and schema, of their messages."""
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -312,6 +314,40 @@ def feed(
         finally:
             way.close()
     say(f"{n} pictures sent", err)
+
+
+class Contract(StrEnum):
+    """A form of the contract between processes."""
+
+    ASYNCAPI = "asyncapi"
+    JSONSCHEMA = "jsonschema"
+
+
+def schema(
+    form: Annotated[
+        Contract,
+        typer.Option(
+            "--format", help="asyncapi: keys, senders, readers, rights, messages; jsonschema: the messages alone."
+        ),
+    ] = Contract.ASYNCAPI,
+    file: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="The file to write; printed if left out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
+) -> None:
+    """Describe what processes send each other, for programs in other languages."""
+    with command(at_once=True):
+        from cogradar.services.analysis.export import whole
+        from cogradar.shared.wire.contract import asyncapi, json_schema
+
+        text = json.dumps((asyncapi if form is Contract.ASYNCAPI else json_schema).document(), indent=2) + "\n"
+        if file is not None:
+            with whole(file, force=force) as part:
+                part.write_text(text, encoding="utf-8")
+    if file is None:
+        sys.stdout.write(text)
+    else:
+        say(f"{file}: {form}")
 
 
 def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:

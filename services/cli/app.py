@@ -368,6 +368,7 @@ for other in (
     cli_answers.export,
     cli_answers.replay,
     cli_answers.feed,
+    cli_answers.schema,
     cli_runs.cancel,
     cli_campaigns.campaign,
     cli_campaigns.sweep,

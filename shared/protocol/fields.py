@@ -1,10 +1,14 @@
-"""The fields of messages: arrays of one kind and size, ids, counters; with what is allowed in each."""
+"""The fields of messages: arrays of one kind and size, ids, counters; with what is allowed in each.
+
+In JSON an array is its kind, its shape and its elements in C order; of a complex number two, real and imaginary part.
+Bytes are an object with their Base64.
+"""
 
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
 MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
@@ -41,6 +45,42 @@ def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
+
+
+def _json(
+    dtype: str,
+    ndim: int,
+    *,
+    longest: int = MAX_SIDE,
+    shape: tuple[int, ...] = (),
+    size: float = LARGEST,
+    low: float | None = None,
+    only: str = "",
+) -> WithJsonSchema:
+    """JSON schema of an array.
+
+    longest : of any axis; shape : fixed; size : of an element at most; low : of an element at least; only : in words
+    """
+    number = "integer" if dtype == "i4" else "number"
+    limits = {} if dtype == "i4" and low is None else {"minimum": -size if low is None else low, "maximum": size}
+    side = {"type": "integer", "minimum": 0, "maximum": longest}
+    name = {"i4": "int32", "f8": "float64", "c8": "complex64"}[dtype]
+    axes = str(shape) if shape else f"{ndim} {'axis' if ndim == 1 else 'axes'}"
+    return WithJsonSchema(
+        {
+            "type": "object",
+            "title": f"{name}, {axes}" + (f"; {only}" if only else ""),
+            "properties": {
+                "dtype": {"const": dtype},
+                "shape": {"const": list(shape)}
+                if shape
+                else {"type": "array", "items": side, "minItems": ndim, "maxItems": ndim},
+                "values": {"type": "array", "items": {"type": number, **limits}},
+            },
+            "required": ["dtype", "shape", "values"],
+            "additionalProperties": False,
+        }
+    )
 
 
 def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,20 +162,53 @@ def _different(values: list[int]) -> list[int]:
     return values
 
 
-Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
-Beams = Annotated[NDArray[np.int32], _array("i4", 2), AfterValidator(_beams)]
-Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
-Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
-Measured = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_measured)]
-FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]
-Chances = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_chances)]
-Gate = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_gate)]
-State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
-States = Annotated[NDArray[np.float64], _array("f8", 2)]
-Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]
-Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES), AfterValidator(_within)]
-Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
-Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
+Ints = Annotated[NDArray[np.int32], _array("i4", 1), _json("i4", 1)]
+Beams = Annotated[NDArray[np.int32], _array("i4", 2), AfterValidator(_beams), _json("i4", 2, low=-1, size=2**31 - 1)]
+Cells = Annotated[
+    NDArray[np.int32],
+    _array("i4", 1),
+    AfterValidator(_cells),
+    _json("i4", 1, longest=MAX_CELLS, low=0, size=MAX_SIDE, only=f"at most {MAX_CELLS}"),
+]
+Floats = Annotated[NDArray[np.float64], _array("f8", 1), _json("f8", 1)]
+Measured = Annotated[
+    NDArray[np.float64],
+    _array("f8", 1),
+    AfterValidator(_measured),
+    _json("f8", 1, low=0.0, only=f"0, or {1.0 / LARGEST:g} .. {LARGEST:g}"),
+]
+FloatLists = Annotated[NDArray[np.float64], _array("f8", 2), _json("f8", 2)]
+Chances = Annotated[
+    NDArray[np.float64],
+    _array("f8", 1),
+    AfterValidator(_chances),
+    _json("f8", 1, longest=MAX_CELLS, low=0.0, size=1.0, only="0 .. 1"),
+]
+Gate = Annotated[
+    NDArray[np.float64], _array("f8", 1), AfterValidator(_gate), _json("f8", 1, shape=(2,), low=0.0, size=FAR)
+]
+State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state), _json("f8", 1, shape=(4,), size=FAR)]
+States = Annotated[NDArray[np.float64], _array("f8", 2), _json("f8", 2)]
+Covariance = Annotated[
+    NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance), _json("f8", 2, shape=(4, 4), size=FAR**2)
+]
+Particles = Annotated[
+    NDArray[np.float64],
+    _array("f8", 2, MAX_PARTICLES),
+    AfterValidator(_within),
+    _json("f8", 2, longest=MAX_PARTICLES, size=FAR),
+]
+# What a complex64 holds is less than LARGEST.
+Complexes = Annotated[NDArray[np.complex64], _array("c8", 1), _json("c8", 1)]
+Factor = Annotated[NDArray[np.complex64], _array("c8", 2), _json("c8", 2)]
+_BYTES = {
+    "type": "object",
+    "title": "bytes",
+    "properties": {"base64": {"type": "string", "contentEncoding": "base64"}},
+    "required": ["base64"],
+    "additionalProperties": False,
+}
+Payload = Annotated[bytes, WithJsonSchema(_BYTES)]
 
 RunId = Annotated[
     str,

@@ -72,7 +72,7 @@ class _Settings(Message):
     """How a run is played."""
 
     strategy: Annotated[Strategy, Field(strict=False)]
-    dwells: Annotated[int, Field(ge=1, le=NO_END)]  # NO_END: until it is ended
+    dwells: Annotated[int, Field(ge=1, le=NO_END)]  # 2^31 - 1: until it is ended
     rate_hz: Rate = 0.0  # dwells per second in real time; 0: in lockstep
 
 
@@ -127,7 +127,7 @@ class Checkpoint(_Settings):
     It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
 
-    radar: dict[str, Any]  # complete
+    radar: dict[str, Any]  # complete: [radar] of a scenario
     seed: Seed  # of the radar's own random numbers
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
@@ -148,7 +148,9 @@ class Checkpoint(_Settings):
 class EmulatorCheckpoint(Checkpoint):
     """A checkpoint with what only the emulator may know: recorder -> emulator."""
 
-    world: dict[str, Any] | None  # complete; None: a real front end has no configuration of the world
+    world: (
+        dict[str, Any] | None
+    )  # complete: [world] of a scenario; none: a real front end has no configuration of the world
     world_seed: Seed
 
     @field_validator("world")
@@ -240,14 +242,14 @@ class Scan(Message):
 class Truth(Message):
     """Where the targets are at dwell k, if the front end knows: emulator -> recorder only.
 
-    All targets of the run are in it, in one order; of one that is not there the bin is ABSENT, all else 0.
+    All targets of the run are in it, in one order; of one that is not there the bin is -1, all else 0.
     """
 
     k: Index
     t: Index
     states: States  # (M, 4) [x, vx, y, vy] on the ground, km and km/s
     heights_km: Floats  # (M,) of each target; range and direction are measured of the position with it
-    bins: Ints  # (M,); ABSENT: not there
+    bins: Ints  # (M,); -1: not there
     snr_db: Floats  # (M,) per virtual channel, before array gain
     waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
 

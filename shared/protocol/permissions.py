@@ -65,16 +65,21 @@ def permitted(holder: str, slots: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]
     found = {
         Act.SEND: sent,
         Act.READ: read,
-        Act.ASK: tuple(_pattern(key) for key in _ASKED.get(holder, ())),
-        Act.HEAR: tuple(_pattern(key) for key in own),
-        Act.ANSWER: tuple(_pattern(key, holder, limited) for key in own),
-        Act.SHOW: tuple(_pattern(key, holder, limited) for key in (ALIVE, CLAIM)) if is_process else (),
-        Act.SEE: (_pattern(ALIVE), _pattern(CLAIM)),
+        Act.ASK: tuple(expression(key) for key in _ASKED.get(holder, ())),
+        Act.HEAR: tuple(expression(key) for key in own),
+        Act.ANSWER: tuple(expression(key, holder, limited) for key in own),
+        Act.SHOW: tuple(expression(key, holder, limited) for key in (ALIVE, CLAIM)) if is_process else (),
+        Act.SEE: (expression(ALIVE), expression(CLAIM)),
     }
     return {act: keys for act, keys in found.items() if keys}
 
 
-def _pattern(key: str, role: str = "*", slots: str = "*") -> str:
+def holders(act: Act, expression: str) -> tuple[str, ...]:
+    """Holders of certificates that may do something with all keys of an expression."""
+    return tuple(holder for holder in HOLDERS if expression in permitted(holder).get(act, ()))
+
+
+def expression(key: str, role: str = "*", slots: str = "*") -> str:
     """Key expression for all keys of a form, or for those of a role, or of its processes whose names have slots."""
     name = "*" if slots == "*" else f"$*@{slots}"
     return re.sub(r"\{\w+\}", "*", key.replace("{role}", role).replace("{name}", name))

@@ -16,6 +16,7 @@ from cogradar.shared.protocol.fields import (
     Index,
     Indices,
     Particles,
+    Payload,
     ProcessName,
     Product,
     Size,
@@ -129,7 +130,7 @@ class History(Message):
     to: ProcessName  # a planner's name, or "emulator", of which there is one
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
-    payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
+    payloads: Annotated[list[Payload], Field(max_length=MAX_HISTORY)]  # each an encoded message, envelope and all
     epoch: Epoch = 0  # as that of a checkpoint
 
 

@@ -9,9 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from cogradar.shared.protocol.fields import FAR, LARGEST, Count, FloatLists, Floats, Index, Ints
 
-BIRTH = 8  # columns of `Roster.births`: nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2
-# ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km; existence, 0 .. 1
-EXPECTED = 5
+BIRTH = 8  # columns of `Roster.births`
+EXPECTED = 5  # ... and of `Roster.expected`
 
 
 class Compared(BaseModel):
@@ -44,8 +43,12 @@ class Roster(Compared):
     next_id: Index  # of the next track that begins
     confirmed: Ints  # (M,) 1, or 0 of a tentative track
     born_k: Ints  # (M,) dwell whose scan the track began with
-    births: FloatLists  # (b, BIRTH) detections of the last b of ids, which began with the scan that this answers
-    expected: FloatLists  # (M, EXPECTED) where each track is expected in the next dwell
+    # (b, 8) detections of the last b of ids, which began with the scan that this answers: nu, limit, range in km,
+    # nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2.
+    births: FloatLists
+    # (M, 5) where each track is expected in the next dwell: nu, its standard deviation, range, its standard deviation,
+    # in km, and existence, 0 .. 1.
+    expected: FloatLists
     searched: Floats  # (s,) directions of the search beams, ascending
     next_search: Count  # number of the next beam of the search, counted from the first one of the run
     search_share: Annotated[float, Field(ge=0)]  # power of the search, all beams together

@@ -33,7 +33,7 @@ from cogradar.shared.protocol.recovery import (
 )
 from cogradar.shared.protocol.slots import ALL_SLOTS
 
-PROTOCOL = 8  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
+PROTOCOL = 8  # of messages and keys; tests/shared/wire/test_contract.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 
@@ -61,13 +61,41 @@ class GivesWay(StrEnum):
 
 
 @dataclass(frozen=True)
+class Delivery:
+    """How a message gets to all who need it, as a document says it."""
+
+    until: str  # its sender repeats it
+    late: str = "It learns from the next checkpoint what it needs."  # process
+
+
+KEPT = Delivery(
+    "Its sender keeps it until a checkpoint has a higher k, and sends it again when one has `resend`.",
+    "It begins at the last checkpoint, and recalls what it lacks of the dwells before.",
+)
+UNTIL_CHECKPOINT = Delivery("Its sender repeats it until a checkpoint of the run arrives.")
+UNTIL_ENDED = Delivery("Its sender repeats it until a checkpoint has `ended`.")
+UNTIL_DECIDED = Delivery("Its sender repeats it, with the same id, until the journal says granted or refused.")
+UNTIL_HELD = Delivery("Its sender says it after each checkpoint as long as it holds.")
+UNTIL_ANSWERED = Delivery("Its sender repeats it at some later checkpoint until a history has what it lacks.")
+NEWEST = Delivery(
+    "The newest one stands for all before it. It is repeated each second in which no dwell is completed, each fourth"
+    " second while other runs go on.",
+    "The next one says all that it needs.",
+)
+ONCE = Delivery("It is sent once. A process that still lacks something recalls it.")
+
+
+@dataclass(frozen=True)
 class Topic:
-    """One kind of message: its key, its one producer role, its readers, and what gives way when a reader is slow."""
+    """One kind of message: its key, its one producer role, its readers, its redelivery, and what gives way at a slow
+    reader.
+    """
 
     end: str  # of its key, with {fields} of the message and the {slots} of a planner
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
+    delivery: Delivery = KEPT
     gives_way: GivesWay = GivesWay.ARRIVING
 
     @property
@@ -111,27 +139,39 @@ _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER,
 
 # Keys are never declared: the transport would keep each of them for ever (docs/adr/0013-plain-publishers.md).
 TOPICS = (
-    Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
-    Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
-    Topic("run/{run}/command", Command, Role.OPERATOR, (_R,)),
-    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _R, _M, Role.OPERATOR), GivesWay.OLDEST),
-    Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), GivesWay.OLDEST),
+    Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,), UNTIL_CHECKPOINT),
+    Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,), UNTIL_ENDED),
+    Topic("run/{run}/command", Command, Role.OPERATOR, (_R,), UNTIL_DECIDED),
+    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _R, _M, Role.OPERATOR), NEWEST, GivesWay.OLDEST),
+    Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), NEWEST, GivesWay.OLDEST),
     Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),
     Topic("run/{run}/truth", Truth, _E, (_R,)),
     Topic("run/{run}/plan/{slots}", Plan, _P, (_A, _R)),
-    Topic("run/{run}/waveform", Waveform, _A, (_E, _R), GivesWay.OLDEST),
-    Topic("run/{run}/handover/{slots}", Handover, _P, (_P,)),
-    Topic("run/{run}/snapshot/{slots}", Snapshot, _P, (_R,)),
-    Topic("run/{run}/end", RunEnd, _E, (_R,)),
-    Topic("run/{run}/noplans/{slots}", NoPlans, _P, (_P, _R)),
-    Topic("run/{run}/nowaveforms", NoWaveforms, _A, (_R,)),
-    Topic("run/{run}/recall/scan/{slots}", ScanRecall, _P, (_R,)),
-    Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
-    Topic("run/{run}/history/{to}", History, _R, (_E, _P)),
+    Topic("run/{run}/waveform", Waveform, _A, (_E, _R), gives_way=GivesWay.OLDEST),
+    Topic("run/{run}/handover/{slots}", Handover, _P, (_P,), UNTIL_HELD),
+    Topic("run/{run}/snapshot/{slots}", Snapshot, _P, (_R,), ONCE),
+    Topic("run/{run}/end", RunEnd, _E, (_R,), UNTIL_ENDED),
+    Topic("run/{run}/noplans/{slots}", NoPlans, _P, (_P, _R), UNTIL_HELD),
+    Topic("run/{run}/nowaveforms", NoWaveforms, _A, (_R,), UNTIL_HELD),
+    Topic("run/{run}/recall/scan/{slots}", ScanRecall, _P, (_R,), UNTIL_ANSWERED),
+    Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,), UNTIL_ANSWERED),
+    Topic("run/{run}/history/{to}", History, _R, (_E, _P), ONCE),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_MESSAGE = {topic.message: topic for topic in TOPICS}
+
+PARTS_OF_KEYS = {
+    "build": "digest of the sender's program and of what its machine computes: a radar's processes have one",
+    "run": "name of the run",
+    "slots": "FIRST-LAST of 16 slots of tracks that the planner is for; 0-15: all",
+    "to": "name of the planner that is answered, or emulator",
+    "protocol": "version of messages and keys",
+    "role": "of the process",
+    "name": "of the process",
+    "moment": "when the process began, nanoseconds since 1970, and eight random hexadecimal digits",
+    "metric": "what is asked for, such as runs; its parameters follow the key, NAME=VALUE;NAME=VALUE",
+}
 
 
 @dataclass(frozen=True)

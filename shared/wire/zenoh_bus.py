@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from queue import Empty
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import zenoh
 
@@ -39,6 +39,11 @@ from cogradar.shared.wire.queries import ENCODINGS, REFUSAL, Alive, Answer, aliv
 from cogradar.shared.wire.timestamps import Timestamps
 
 LOT_BYTES = 64 << 10  # of messages that travel together
+QUALITY: Final[dict[str, Any]] = {  # of every sample
+    "congestion_control": zenoh.CongestionControl.BLOCK,
+    "priority": zenoh.Priority.DATA,
+    "express": True,
+}
 _SAMPLES = {topic.message: zenoh.Encoding(topic.encoding) for topic in TOPICS}
 
 
@@ -132,8 +137,7 @@ class ZenohBus:
             BY_MESSAGE[type(first)].key_of(first, self.build, self._slots),
             join([encoded.payload for encoded in lot]),
             encoding=_SAMPLES[type(first)],
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            express=True,
+            **QUALITY,
         )
         for message, payload, begun in lot:
             self.timestamps.send(message, begun, len(payload))

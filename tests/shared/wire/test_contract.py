@@ -1,0 +1,131 @@
+"""The contract that programs read: it is valid, has all that the tables have, and every message is as it says."""
+
+import hashlib
+import json
+import lzma
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from typer.testing import CliRunner
+
+from cogradar.services.cli.app import app
+from cogradar.shared.protocol.messages import Scan, Truth
+from cogradar.shared.protocol.permissions import OBSERVER
+from cogradar.shared.protocol.topics import BY_MESSAGE, PROTOCOL, QUERYABLES, TOPICS, Role
+from cogradar.shared.wire.contract import asyncapi, json_schema
+from docs.generator import messages as generated
+from tests.vectors.cases import FILE, stored
+
+HERE = Path(__file__).parent
+NODE = HERE.parents[1] / "node"
+VECTORS = stored()
+SCHEMAS = json_schema.document()
+
+
+def test_asyncapi_is_what_its_specification_says() -> None:
+    """The schema is the published one of AsyncAPI 3.0.0 (Apache License 2.0), compressed."""
+    schema = json.loads(lzma.decompress((HERE / "asyncapi-3.0.0.json.xz").read_bytes()))
+    document = asyncapi.document()
+    jsonschema.Draft7Validator(schema).validate(document)
+    document["channels"]["scan"]["address"] = 7
+    assert not jsonschema.Draft7Validator(schema).is_valid(document)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+@pytest.mark.skipif(not (NODE / "node_modules" / "@asyncapi").is_dir(), reason="@asyncapi/parser: make node")
+def test_asyncapi_is_understood_by_its_own_parser() -> None:
+    document = json.dumps(asyncapi.document())
+    done = subprocess.run(
+        ["node", "asyncapi.mjs"], cwd=NODE, input=document, capture_output=True, text=True, check=True, timeout=60
+    )
+    *faults, last = done.stdout.splitlines()
+    assert last == f"{len(TOPICS) + len(QUERYABLES) + len(asyncapi.TOKENS)} channels"
+    assert [line for line in faults if "asyncapi-latest-version" not in line] == []
+
+
+def test_asyncapi_has_what_the_tables_have() -> None:
+    document = asyncapi.document()
+    channels, operations = document["channels"], document["operations"]
+    for topic in TOPICS:
+        said = {
+            (operation["action"], operation["x-role"])
+            for operation in operations.values()
+            if operation["channel"] == {"$ref": f"#/channels/{topic.name}"}
+        }
+        assert said == {("send", topic.producer), *(("receive", reader) for reader in topic.readers)}
+        assert channels[topic.name]["address"] == topic.key
+    truth = channels[BY_MESSAGE[Truth].name]["x-zenoh"]
+    assert (truth["maySend"], truth["mayRead"]) == ([Role.EMULATOR], [Role.RECORDER])
+    scan = channels[BY_MESSAGE[Scan].name]["x-zenoh"]
+    assert OBSERVER in scan["mayRead"]
+    assert (scan["congestionControl"], scan["priority"], scan["express"]) == ("block", "data", True)
+    assert {channels[name]["address"] for name in ("query", "timestamps", "exposition")} == {q.key for q in QUERYABLES}
+    assert OBSERVER in channels["query"]["x-zenoh"]["mayAsk"]
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
+def test_every_message_is_as_its_schema_says(vector: dict[str, Any]) -> None:
+    validator = jsonschema.Draft202012Validator(SCHEMAS["$defs"][vector["json"]["topic"]])
+    validator.validate(vector["json"])
+    body = vector["json"]["body"]
+    for wrong in (
+        {**body, "one_more": 1},
+        {name: value for name, value in body.items() if name != "run"},
+        {**body, "run": 7},
+        *({**body, name: {**value, "dtype": "f4"}} for name, value in body.items() if "dtype" in str(value)[:10]),
+        *({**body, name: str(value)} for name, value in body.items() if type(value) in {int, float, bool}),
+    ):
+        assert not validator.is_valid({**vector["json"], "body": wrong})
+
+
+def test_a_schema_is_found_by_the_name_that_a_sample_has() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMAS)
+    validator = jsonschema.Draft202012Validator(SCHEMAS)
+    assert all(validator.is_valid(vector["json"]) for vector in VECTORS[1::3])
+    for topic in TOPICS:
+        assert SCHEMAS["$defs"][topic.name]["$id"] == topic.encoding.partition("schema=")[2]
+
+
+def test_meanings_are_the_comments_of_the_source() -> None:
+    fields = json_schema.described(Scan)[0]["properties"]
+    assert fields["alpha_hat"]["description"] == "(n,) estimated echo amplitude"
+    assert fields["unmeasured"]["description"].startswith("(u,) directions of the looks that were asked for")
+    assert (fields["ranges_km"]["x-unit"], fields["gates"]["x-shape"]) == ("km", "(M, 2)")
+    assert "Annotated" not in generated.messages() + generated.parts()
+    assert "| `lacking` | list of at most 4096: whole number, 0 .. 2^31 - 1, or none | none |" in generated.messages()
+
+
+@pytest.mark.parametrize("form", ["asyncapi", "jsonschema"])
+def test_the_command_prints_or_writes_it(form: str, tmp_path: Path) -> None:
+    file, runner = tmp_path / "contract.json", CliRunner()
+    printed = runner.invoke(app, ["schema", "--format", form])
+    assert runner.invoke(app, ["schema", "--format", form, "--out", str(file)]).exit_code == 0
+    assert printed.stdout == file.read_text(encoding="utf-8")
+    assert form.removesuffix("schema") in printed.stdout[:90].lower() + "json"
+    assert runner.invoke(app, ["schema", "--format", form, "--out", str(file)]).exit_code != 0
+
+
+def _bare(part: Any) -> Any:
+    """What programs depend on: without texts for people."""
+    texts = {"description", "summary", "title", "x-shape", "x-unit", "acknowledgement", "lateJoiner"}
+    if isinstance(part, dict):
+        return {name: _bare(value) for name, value in part.items() if name not in texts or not isinstance(value, str)}
+    return [_bare(value) for value in part] if isinstance(part, list) else part
+
+
+def test_the_protocol_has_another_number_when_the_wire_has_changed() -> None:
+    """If this fails: raise PROTOCOL, if older programs cannot read or send what is sent now, and put both here.
+
+    Keys, encodings, rights, fields and limits are in the contract; envelope and arrays are in the bytes of the vectors.
+    Which keys a scenario has is no part of it.
+    """
+    of_scenarios = {"runstart", "checkpoint", "emulatorcheckpoint"}
+    payloads = [vector["bytes"] for vector in VECTORS if vector["json"]["topic"] not in of_scenarios]
+    digest = hashlib.sha256(json.dumps(_bare(asyncapi.document()), sort_keys=True).encode())
+    digest.update("\n".join(payloads).encode())
+    assert FILE.stat().st_size < 300_000
+    assert (PROTOCOL, digest.hexdigest()[:8]) == (8, "2e7e062f")

@@ -1,0 +1,34 @@
+"""The vectors are what the program sends, and programs that know nothing of it read and write them byte for byte."""
+
+import base64
+import json
+from typing import Any
+
+import pytest
+
+from cogradar.shared.protocol.topics import TOPICS
+from cogradar.shared.wire.codec import decode, encode
+from tests.vectors import plain
+from tests.vectors.cases import FILE, SIZES, as_json, lines, stored
+
+VECTORS = stored()
+
+
+def test_the_vectors_are_those_of_the_program() -> None:
+    assert FILE.read_text(encoding="utf-8") == lines(), "python -m tests.vectors --write"
+    assert [vector["name"] for vector in VECTORS] == [f"{topic.name}.{size}" for topic in TOPICS for size in SIZES]
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
+def test_bytes_and_json_are_the_same_message(vector: dict[str, Any]) -> None:
+    payload = base64.b64decode(vector["bytes"])
+    message = decode(payload)
+    assert json.dumps(as_json(message)) == json.dumps(vector["json"])
+    assert encode(message) == payload
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
+def test_python_with_msgpack_alone_reads_and_writes_them(vector: dict[str, Any]) -> None:
+    payload = base64.b64decode(vector["bytes"])
+    assert json.dumps(plain.read(payload)) == json.dumps(vector["json"])
+    assert plain.written(vector["json"]) == payload
