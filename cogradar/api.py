@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypedDict, Unpack
 
-from cogradar.running import Dwell, Player, load, play, run
+from cogradar.running import Player, load, play, run
+from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.errors import BadInput, Failure, NoMetrics, RunFailed

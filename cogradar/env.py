@@ -22,8 +22,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from cogradar.running import Dwell, Player, play
+from cogradar.running import Player, play
 from cogradar.running import load as load_scenario
+from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.messages import Plan, Waveform
 from cogradar.shared.scenario.scenario import Scenario

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 import numpy as np
 from pydantic import ValidationError
 
-from cogradar.services.analysis.arrays import records
-from cogradar.services.analysis.arrays.records import Records
+from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.errors import BadInput
 from cogradar.services.runs.run import as_played, ending, strategy_of
@@ -30,8 +29,8 @@ from cogradar.shared.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from cogradar.plugins import BinRule, Disturbance, PowerRule
-    from cogradar.services.runs import in_process
-    from cogradar.shared.protocol.messages import Plan, Waveform
+    from cogradar.services.runs.dwell import DwellMessages
+    from cogradar.shared.protocol.messages import Waveform
 
 log = logging.getLogger("cogradar")
 
@@ -50,55 +49,6 @@ def load(name_or_path: str | Path, settings: Settings = ()) -> Scenario:
         raise BadInput(str(error)) from None
 
 
-class Dwell:
-    """One dwell of a run that is being played; its tables have the same columns as in `Result`."""
-
-    def __init__(self, said: "in_process.Dwell", scenario: Scenario) -> None:
-        self._said, self._scenario = said, scenario
-        self.k: int = said.k  # counted from 0, acquisition included
-        self.t: int = said.scan.t  # counted from 1 after the acquisition, 0 during it
-
-    def __repr__(self) -> str:
-        return f"<Dwell k = {self.k}, t = {self.t}: {len(self.detections())} detections, {len(self.tracks())} tracks>"
-
-    def detections(self, *, all_looks: bool = False) -> Records:
-        """Every tested cell over its limit, or all tested cells."""
-        truths = None if self._said.truth is None else {self.k: self._said.truth}
-        return records.detections(self._scenario.radar, [self._said.scan], truths, all_looks=all_looks)
-
-    def tracks(self) -> Records:
-        """The tracks after this dwell; which target each follows is known at the end only."""
-        return records.tracks(self._dt_s, self._said.plans, self._sent)
-
-    def truth(self) -> Records:
-        """The targets. Raises BadInput where there is no truth."""
-        if self._said.truth is None:
-            raise BadInput("there is no truth: the front end does not know where targets are")
-        return records.truth(self._dt_s, [self._said.truth])
-
-    def waveforms(self) -> Records:
-        """What was radiated, one row."""
-        return records.waveforms(self._dt_s, [(self.k, self.t)], self._sent, self._scenario.radar.array.n_tx)
-
-    @property
-    def plans(self) -> "list[Plan]":
-        """What each track asks for, as messages."""
-        return self._said.plans
-
-    @property
-    def next(self) -> "Waveform | None":
-        """What will be radiated in the dwell that follows, as a message."""
-        return self._said.next
-
-    @property
-    def _dt_s(self) -> float:
-        return self._scenario.radar.motion.dt_s
-
-    @property
-    def _sent(self) -> "dict[int, Waveform]":
-        return {} if self._said.sent is None else {self.k: self._said.sent}
-
-
 class Player:
     """A run that is played dwell by dwell: an iterator of `Dwell`, and its `result` once it is over.
 
@@ -107,7 +57,7 @@ class Player:
     """
 
     _is_closed = True  # until it is begun
-    _last: "in_process.Dwell | None"
+    _last: "DwellMessages | None"
 
     def __init__(self, start: RunStart, planners: int, store: str | Path | None, front_end: str) -> None:
         from cogradar.services import kernels

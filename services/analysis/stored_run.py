@@ -3,20 +3,22 @@
 import base64
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import Rows
 from cogradar.services.planner.track_source import follow, source_of
+from cogradar.services.runs.dwell import DwellMessages
 from cogradar.shared.numerics.seeds import radar_seed
-from cogradar.shared.protocol.messages import RunStart, Scan
+from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.wire.codec import decode
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
+Kind = TypeVar("Kind")
 PAGE = 10_000  # rows of scores that are asked for at a time, about 4 MB
 
 
@@ -60,6 +62,24 @@ class StoredRun:
                 yield row["k"], [base64.b64decode(payload) for payload in row["payloads"]]
             k = page[-1]["k"] + 1
 
+    def dwells(self) -> Iterator[DwellMessages]:
+        """All messages about each dwell that has a scan, one dwell at a time. Raises BadInput if no scan is stored."""
+        made, is_stored = dict[int, Waveform](), False
+        for k, payloads in self.messages("scan", "truth", "plan", "waveform"):
+            messages = [decode(payload) for payload in payloads]
+            scan, truth, waveform = _only(Scan, messages), _only(Truth, messages), _only(Waveform, messages)
+            if scan is not None:
+                said = scan.waveform_k if truth is None else truth.waveform_k
+                sent_k = k - 1 if said is None else said
+                made = {at: one for at, one in made.items() if at >= sent_k}  # no older one is radiated again
+                plans = [message for message in messages if isinstance(message, Plan)]
+                is_stored = True
+                yield DwellMessages(k, scan, made.get(sent_k), truth, plans, waveform)
+            if waveform is not None:
+                made[k] = waveform
+        if not is_stored:
+            raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")
+
     def orders(self) -> list[Order]:
         """All commands that were granted, in the order of their numbers."""
         return [Order.model_validate(row) for row in self._ask("orders", {"run": self.name})]
@@ -86,3 +106,7 @@ class StoredRun:
             yield message
         if not is_stored:
             raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")
+
+
+def _only(kind: type[Kind], messages: Sequence[Any]) -> Kind | None:
+    return next((message for message in messages if isinstance(message, kind)), None)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -34,9 +34,6 @@ from cogradar.services.cli.console import (
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, RunFailed, check_stop
-
-if TYPE_CHECKING:
-    from cogradar.services.analysis.arrays.result import Result
 
 Rows = Sequence[dict[str, Any]]
 
@@ -153,63 +150,53 @@ def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
 
 
 def export(
-    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where the table goes; -: to standard output.")],
+    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where it goes; -: a table to standard output.")],
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
     form: Annotated[
-        str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
+        str | None,
+        typer.Option(
+            "--format", help="csv, json, npz, parquet, mat, nc, mcap, rrd or gif; by the suffix of FILE if left out."
+        ),
     ] = None,
     what: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--what", help="tracks: a row per dwell and target; detections: a row per detection; clip: an animated GIF."
+            "--what",
+            help="tracks: a row per dwell and target; detections, looks, requests, truth, waveforms: a row each;"
+            " run: everything (mcap, rrd); clip: a moving picture (gif). The first that the format can hold.",
         ),
-    ] = "tracks",
+    ] = None,
     dwells: Annotated[str | None, typer.Option(help="Of a clip: first and last dwell, a:b.")] = None,
     rate: Annotated[float, typer.Option(min=1.0, max=50.0, help="Of a clip: dwells a second.")] = 10.0,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
-    """Write a run into one file: a row per dwell and target, or per detection, or a moving picture.
+    """Write a run into one file: a table, the whole run for a viewer, or a moving picture.
 
     Columns are called as in `query`: x and y are in km, vx and vy in km/s,
     others have their units in their names. Angles are from boresight, nu is
     0.5 sin(angle). Those of the estimate have "hat" in their names, those
     without are the target's. In Python the same is numpy.load, pandas.read_csv
-    or read_parquet; in MATLAB and Octave it is load.
+    or read_parquet, xarray.open_dataset; in MATLAB and Octave it is load. An
+    mcap file opens in Foxglove and Lichtblick, an rrd file in rerun.
     """
-    from cogradar.services.analysis import export as exporting
     from cogradar.services.analysis.arrays.result import Result
+    from cogradar.services.analysis.export import formats
     from cogradar.services.analysis.stored_run import StoredRun
     from cogradar.services.metrics import client as asking
+    from cogradar.services.metrics.selection import dwells_of
 
     with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
         result = Result(StoredRun(ask, run_))
-        if what == "clip":
-            _clip(result, Path(file), form, dwells, rate, force=force)
-            return
         if file == "-":
-            exporting.send(result, sys.stdout.buffer, form, what)
+            formats.send(result, sys.stdout.buffer, form, what)
             return
-        exporting.write(result, Path(file), form, what, force=force)
-        written = f"{result.t.size} dwells of {result.scenario.n_target} targets; {UNITS}"
-        if what == "detections":
-            written = f"{result.detections().size} detections in {result.t.size} dwells; ranges in km"
+        with progress(err) as show:
+            how = formats.Options(dwells_of(dwells or ":"), rate, lambda n: show(f"{n} dwells written"))
+            written = formats.write(result, Path(file), form, what, force=force, options=how)
         out.print(f"{file}: {result.run}, {written}", soft_wrap=True)
-
-
-def _clip(result: "Result", file: Path, form: str | None, dwells: str | None, rate: float, *, force: bool) -> None:
-    from cogradar.services.analysis.drawing import clip
-    from cogradar.services.analysis.export import whole
-    from cogradar.services.metrics.selection import dwells_of
-
-    if (form or file.suffix.removeprefix(".").lower()) != "gif":
-        raise BadInput(f"{file}: a clip is a GIF, with the suffix .gif or --format gif")
-    first, last = dwells_of(dwells or ":")
-    with whole(file, force=force) as part, progress(err) as show:
-        n = clip.write(result, part, (first, last), rate, lambda n: show(f"{n} dwells drawn"))
-    out.print(f"{file}: {result.run}, {n} dwells, {rate:g} a second", soft_wrap=True)
 
 
 def replay(
@@ -337,7 +324,7 @@ def schema(
 ) -> None:
     """Describe what processes send each other, for programs in other languages."""
     with command(at_once=True):
-        from cogradar.services.analysis.export import whole
+        from cogradar.services.analysis.export.whole import whole
         from cogradar.shared.wire.contract import asyncapi, json_schema
 
         text = json.dumps((asyncapi if form is Contract.ASYNCAPI else json_schema).document(), indent=2) + "\n"

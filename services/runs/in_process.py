@@ -5,13 +5,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from functools import partial
 
 from cogradar.services.errors import Interrupted, RunFailed, check_stop
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs.dwell import DwellMessages
 from cogradar.services.runs.oracle import Foresight, KnowingPlanner
 from cogradar.services.runs.run import Progress, Result, ending, loaded, progress, result
 from cogradar.services.topology import TOPOLOGY, Start
@@ -23,18 +23,6 @@ from cogradar.shared.wire.bus import Bus, LocalBus, LocalNetwork
 from cogradar.shared.wire.runner import Closing, Core, step
 
 REPORT_EVERY_S = 0.25
-
-
-@dataclass
-class Dwell:
-    """All that was said of one dwell."""
-
-    k: int
-    scan: Scan
-    sent: Waveform | None  # what was radiated; None: before the first waveform
-    truth: Truth | None = None
-    plans: list[Plan] = field(default_factory=list)
-    next: Waveform | None = None  # what the allocator will have radiated in the dwell that follows
 
 
 def play(
@@ -64,7 +52,7 @@ def steps(
     report: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
-) -> Generator[Dwell, Waveform | None, Result]:
+) -> Generator[DwellMessages, Waveform | None, Result]:
     """Play one run dwell by dwell, the acquisition included, and score it at its end; closed earlier, it is cancelled.
 
     A waveform that is sent in answer to a dwell is radiated next, in place of the one that the allocator made. Else the
@@ -134,15 +122,15 @@ class _Dwells:
     """Messages by the dwell that they are of, until the waveform that follows from it is there."""
 
     def __init__(self) -> None:
-        self._open: dict[int, Dwell] = {}
+        self._open: dict[int, DwellMessages] = {}
         self.sent: Waveform | None = None  # the newest
 
-    def complete(self, messages: Iterable[Event]) -> Iterator[Dwell]:
+    def complete(self, messages: Iterable[Event]) -> Iterator[DwellMessages]:
         """Take what was said since the last time; the dwells of which nothing more will come."""
         for message in list(messages):
             match message:
                 case Scan(k=k):
-                    self._open[k] = Dwell(k, message, self.sent)
+                    self._open[k] = DwellMessages(k, message, self.sent)
                 case Truth(k=k):
                     self._open[k].truth = message
                 case Plan(k=k):

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 import cogradar
-from cogradar.services.analysis.export import detections
 from cogradar.shared.scoring.errors import FLIGHTS, nees, position_error, velocity_error
 from cogradar.shared.scoring.figures import Figures, Totals
 from cogradar.shared.scoring.picture import AirPicture, Objects
@@ -36,7 +35,7 @@ def compare(scenario: cogradar.Scenario, seed: int, dwells: int | None = None) -
     """All trackers on one run; scores by name. Raises BadInput without directions or ranges."""
     result = cogradar.run(scenario, seed=seed, dwells=dwells)
     motion = result.scenario.radar.motion
-    found = list(scans(detections(result), result.t.tolist(), 1.0 / result.scenario.radar.array.n_rx))
+    found = list(scans(result.detections().columns(), result.t.tolist(), 1.0 / result.scenario.radar.array.n_rx))
     return {
         OWN: score(result, _own(result)),
         IMM: score(result, imm_ekf.followed(found, motion.dt_s, motion.sigma_straight_km_s2)),

@@ -40,6 +40,16 @@ def test_dwells_add_up_to_the_run(played: tuple[list[cogradar.Dwell], cogradar.R
     assert "target" not in (dwells[0].tracks().dtype.names or ())
 
 
+def test_a_stored_run_has_the_dwells_that_were_played(played: tuple[list[cogradar.Dwell], cogradar.Result]) -> None:
+    for live, stored in zip(played[0], played[1].dwells(), strict=True):
+        for name in ("detections", "tracks", "requests", "truth", "waveforms"):
+            ours, theirs = getattr(live, name)(), getattr(stored, name)()
+            assert ours.dtype == theirs.dtype
+            for column in ours.dtype.names:
+                np.testing.assert_array_equal(ours[column], theirs[column], err_msg=f"{name} {column} {live.k}")
+        assert (live.next is None) == (stored.next is None)
+
+
 def test_tables_are_those_of_the_arrays(played: tuple[list[cogradar.Dwell], cogradar.Result]) -> None:
     _, result = played
     looks, over = result.detections(all_looks=True), result.detections()

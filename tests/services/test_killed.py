@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services.analysis import export
 from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.export import formats
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
@@ -123,7 +123,7 @@ def test_of_a_recorder_nothing_is_lost_that_was_acknowledged(kills: int, tmp_pat
 def _export(told: Connection, path: str, out: str, form: str) -> None:
     result = Result(StoredRun(partial(answer, Store(Journal(path, read_only=True)))))
     told.send(0)
-    export.write(result, Path(out), form, force=True)
+    formats.write(result, Path(out), form, force=True)
 
 
 @pytest.mark.parametrize("kills", [FEW, MANY])
@@ -151,7 +151,7 @@ def test_of_an_export_the_file_is_whole_or_the_one_before(kills: int, tmp_path: 
         told.close()
         now = out.read_bytes() if out.exists() else None
         assert now in {before, wholes[form]}
-        export.write(_result(path), out, form, force=True)
+        formats.write(_result(path), out, form, force=True)
         assert out.read_bytes() == wholes[form]
         found.add(now or b"")
     assert len(found) > 1

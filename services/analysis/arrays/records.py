@@ -5,13 +5,12 @@ targets count from 1.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.errors import BadInput
+from cogradar.services.analysis.optional import library
 from cogradar.shared.protocol.messages import ABSENT, Plan, Scan, Truth, Waveform
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scoring.scan_rows import ScanRows, row_of_track
@@ -54,12 +53,12 @@ class Records(np.ndarray):  # a structured array, whose kind is not known to the
 
     def to_pandas(self) -> "pd.DataFrame":
         """A data frame with a column for each of `columns(real=False)`. Raises BadInput without pandas."""
-        frame: pd.DataFrame = _module("pandas").DataFrame(self.columns(real=False))
+        frame: pd.DataFrame = library("pandas", "frames").DataFrame(self.columns(real=False))
         return frame
 
     def to_polars(self) -> "pl.DataFrame":
         """A data frame with a column for each of `columns`. Raises BadInput without polars."""
-        frame: pl.DataFrame = _module("polars").DataFrame(self.columns())
+        frame: pl.DataFrame = library("polars", "frames").DataFrame(self.columns())
         return frame
 
     def to_xarray(self) -> "xr.Dataset":
@@ -71,15 +70,8 @@ class Records(np.ndarray):  # a structured array, whose kind is not known to the
         for name in self.dtype.names or ():
             values = np.asarray(self[name])
             variables[name] = (("row", *(f"{name}_{i}" for i in range(values.ndim - 1))), values)
-        found: xr.Dataset = _module("xarray").Dataset(variables)
+        found: xr.Dataset = library("xarray", "frames").Dataset(variables)
         return found
-
-
-def _module(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise BadInput(f"this needs {name}: pip install 'cogradar[frames]'") from None
 
 
 def detections(
@@ -224,6 +216,36 @@ def tracks(
 def _share(sent: Waveform | None, track: int) -> float:
     row = -1 if sent is None else row_of_track(vars(sent), track)
     return float("nan") if sent is None else float(sent.shares[row].sum()) if row >= 0 else 0.0
+
+
+def requests(dt_s: float, n_bin: int, plans: Iterable[Plan]) -> Records:
+    """A row per dwell, track and cell that the track asks to be lit in the next dwell.
+
+    k, t, t_s : dwell after which it is asked for
+    track     : its number
+    bin       : angle bin of the cell
+    nu        : its direction, 0.5 sin(angle)
+    chance    : probability that the target will be in it
+    is_best   : whether it is in the most probable bin
+    range_km  : expected range of the target
+    gain      : statistic's noncentrality of the cell with the target, over its beam power
+    n_sim     : simulations behind the choice
+    """
+    rows = [
+        (plan.k, plan.t, plan.t * dt_s, plan.target + 1, one, nu, chance, one == plan.best_bin, *of_plan)
+        for plan in plans
+        for of_plan in [(plan.range_km, plan.gain, plan.n_sim)]
+        for one, nu, chance in zip(
+            plan.bins.tolist(),
+            (plan.bins / (n_bin - 1) - 0.5 if plan.nus is None else plan.nus).tolist(),
+            plan.chances.tolist(),
+            strict=True,
+        )
+    ]
+    kinds: list[tuple[Any, ...]] = [("k", np.int64), ("t", np.int64), ("t_s", np.float64), ("track", np.int64)]
+    kinds += [("bin", np.int64), ("nu", np.float64), ("chance", np.float64), ("is_best", np.bool_)]
+    kinds += [("range_km", np.float64), ("gain", np.float64), ("n_sim", np.int64)]
+    return np.array(rows, dtype=kinds).view(Records)
 
 
 def truth(dt_s: float, truths: Iterable[Truth]) -> Records:

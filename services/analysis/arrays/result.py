@@ -1,6 +1,6 @@
 """One run as NumPy arrays. Lengths are in km, velocities in km/s; targets count from 1 where they are asked for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.services.analysis.arrays import records
+from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.messages import ByBin, OfTargets, Picture, by_target, radiated
 from cogradar.services.analysis.arrays.tracks import Tracks, sent_in
 from cogradar.services.errors import BadInput
@@ -300,6 +301,13 @@ class Result:
         plans, sent = self._stored_of(Plan), sent_in(self._stored_of(Waveform, Truth), ks)
         return Tracks.of(plans, sent, ks, self._column("track"))
 
+    def dwells(self) -> Iterator[Dwell]:
+        """Its dwells in their order, acquisition included, as `cogradar.play` has them: one at a time is in memory.
+
+        Raises BadInput if no scan is stored.
+        """
+        return (Dwell(said, self.scenario) for said in self._stored.dwells())
+
     # Tables: structured arrays, a row per thing and dwell, acquisition included (`Records`).
 
     def detections(self, *, all_looks: bool = False) -> records.Records:
@@ -320,6 +328,10 @@ class Result:
         }
         plans = self._stored_of(Plan)
         return records.tracks(self._dt_s, plans, self._sent, followed if self.has_truth else None)
+
+    def requests(self) -> records.Records:
+        """The cells that each track asked for, after each dwell, with the probabilities of the target in them."""
+        return records.requests(self._dt_s, self.scenario.radar.array.n_bin, self._stored_of(Plan))
 
     def truth(self) -> records.Records:
         """The targets of each dwell: state on the ground, height, bin, signal-to-noise ratio."""

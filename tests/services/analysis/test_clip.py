@@ -52,7 +52,7 @@ def test_what_cannot_be_is_refused(stores: dict[str, str], tmp_path: Path) -> No
     there.write_bytes(b"mine")
     for file, options, words in (
         (there, (), "is there already; --force replaces it"),
-        (tmp_path / "clip.mp4", (), "a clip is a GIF"),
+        (tmp_path / "clip.mp4", (), "format must be one of"),
         (tmp_path / "clip.gif", ("--dwells", "40:50"), "--dwells 40:50"),
         (tmp_path / "clip.gif", ("--dwells", "5"), "must be a:b"),
     ):

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from cogradar.services.analysis import export
 from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.export import formats
+from cogradar.services.analysis.export.tables import TABLES
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput
@@ -85,7 +86,7 @@ def test_there_is_a_row_for_each_cell_over_its_limit(file: str, tmp_path: Path) 
                 assert abs(np.hypot(state[0], state[2]) - row["range_km"]) <= 0.5 * WIDTH
                 assert abs(spatial_frequency(state) - row["nu_measured"]) < 6.0 * row["nu_measured_sigma"]
     assert at == len(found) > DWELLS
-    assert f"{at} detections in {DWELLS} dwells" in done.output.replace("\n", " ")
+    assert f"{at} rows of detections" in done.output.replace("\n", " ")
     of_targets = found[(found["target"] > 0) & (found["t"] > 0)].groupby(["t", "target"]).size()
     assert len(of_targets) == result.detected.sum()  # whoever asked for the cell
 
@@ -99,11 +100,11 @@ def test_the_strongest_rows_are_what_a_tracker_takes(file: str) -> None:
         assert over[found["strongest"][found["k"] == k] == 1].tolist() == echoes(rows.response, seen, over).tolist()
 
 
-@pytest.mark.parametrize("form", ["npz", "parquet", "mat", "json"])
+@pytest.mark.parametrize("form", ["npz", "parquet", "mat", "nc", "json"])
 def test_every_format_has_the_same_rows(form: str, file: str, tmp_path: Path) -> None:
     result, path = _result(file), tmp_path / f"detections.{form}"
-    expected = export.detections(result)
-    assert export.write(result, path, None, "detections") == form
+    expected = TABLES["detections"](result)
+    assert formats.write(result, path, None, "detections") == f"{result.detections().size} rows of detections"
     assert len({values.size for values in expected.values()}) == 1
     if form == "npz":
         with np.load(path) as loaded:
@@ -113,9 +114,9 @@ def test_every_format_has_the_same_rows(form: str, file: str, tmp_path: Path) ->
 def test_what_cannot_be_written_is_bad_input(file: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export", "--store", file, "--what", "plots", "--out", str(tmp_path / "x.csv")])
     assert done.exit_code == 2
-    assert "--what plots: must be one of tracks, detections, clip" in done.stderr
+    assert "--what plots: must be one of tracks, detections, looks" in done.stderr
     kept, recording = in_memory(), take(Store(Journal(file, read_only=True)), _result(file).run)
     assert recording is not None
     kept.journal.add_recording(recording, 1)
     with pytest.raises(BadInput, match="is stored, as in the store of a campaign"):
-        export.detections(Result(StoredRun(partial(answer, kept))))
+        TABLES["detections"](Result(StoredRun(partial(answer, kept))))

@@ -13,11 +13,14 @@ import duckdb
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
-from cogradar.services.analysis import export
 from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.export import formats
+from cogradar.services.analysis.export.formats import FORMATS, TEXTS, Format
+from cogradar.services.analysis.export.tables import OF_ALL, TABLES, table
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.emulator.front_end import ScanData, Transmission
@@ -85,14 +88,20 @@ def _mat(path: Path) -> Columns:
     return {name: np.ravel(loaded[name]).tolist() for name in loaded if not name.startswith("__")}
 
 
-READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": _mat}
+def _netcdf(path: Path) -> Columns:
+    with xr.open_dataset(path) as loaded:
+        assert loaded["x_hat"].attrs == {"units": "km"}
+        return {str(name): loaded[name].to_numpy().tolist() for name in loaded}
 
 
-@pytest.mark.parametrize("form", export.FORMATS)
+READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": _mat, "nc": _netcdf}
+
+
+@pytest.mark.parametrize("form", READERS)
 def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: Path) -> None:
     result, path = _result(file), tmp_path / f"run.{form}"
     assert result.run in _exported(file, path)
-    expected = {name: values.tolist() for name, values in export.table(result).items()}
+    expected = {name: values.tolist() for name, values in table(result).items()}
     found = READERS[form](path)
     assert list(found) == list(expected)
     for name, values in expected.items():
@@ -106,7 +115,7 @@ def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: 
 
 def test_rows_say_what_the_arrays_say(file: str) -> None:
     result = _result(file)
-    columns = export.table(result)
+    columns = table(result)
     assert not [name for name in columns if "latitude" in name or "utc" in name]  # without a site
     assert columns["t"].tolist() == [t for t in range(1, DWELLS + 1) for _ in range(TARGETS)]
     assert columns["t_s"].tolist() == [t * 1.0 for t in columns["t"]]
@@ -128,7 +137,7 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert columns["in_bin"].tolist() == [int(row["best_bin"] == row["true_bin"]) for row in rows]
     assert columns["outage"].tolist() == [row["outage"] for row in rows]
     (picture,) = answer(Store(Journal(file, read_only=True)), "picture", {"run": result.run})
-    for name in export.OF_ALL:
+    for name in OF_ALL:
         of_dwells = columns[name][::TARGETS]
         assert np.array_equal(columns[name], np.repeat(of_dwells, TARGETS))
         assert np.sqrt(np.mean(of_dwells**2)) == pytest.approx(picture[name], rel=1e-12)
@@ -147,7 +156,7 @@ def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    found = export.table(_result(path))["utc_s"]
+    found = table(_result(path))["utc_s"]
     assert np.array_equal(found, [1e9 + 1, 1e9 + 1, np.nan, np.nan, 1e9 + 3, 1e9 + 3], equal_nan=True)
 
 
@@ -162,7 +171,7 @@ def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> Non
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    columns = export.table(_result(path))
+    columns = table(_result(path))
     assert columns["utc_s"].tolist() == [1767225600.0 + t for t in (1, 1, 2, 2, 3, 3)]
     place = Place(48.0, 11.0, 90.0)
     for suffix in ("", "_hat"):
@@ -175,8 +184,8 @@ def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
     assert recording is not None
     kept = in_memory()
     kept.journal.add_recording(recording, 1)
-    columns = export.table(Result(StoredRun(partial(answer, kept))))
-    whole = export.table(_result(file))
+    columns = table(Result(StoredRun(partial(answer, kept))))
+    whole = table(_result(file))
     assert set(whole) - set(columns) == {"statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"}
     assert all(np.array_equal(values, whole[name]) for name, values in columns.items())
 
@@ -186,7 +195,7 @@ def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
     scenario = load("smoke").model_copy(update={"world": None})
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
-    columns = export.table(Result(StoredRun(partial(answer, blind))))
+    columns = table(Result(StoredRun(partial(answer, blind))))
     assert {"x", "range_km", "snr_db", "stale", "true_bin", "hit", "in_bin", "outage", "gospa_km"} & set(
         columns
     ) == set()
@@ -203,7 +212,7 @@ def test_a_track_that_was_dark_has_no_numbers_of_another_cell(tmp_path: Path) ->
     seen.close()
     start = RunStart.of(scenario.model_copy(update={"world": None}), Strategy.POWER_AWARE, 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{path}#{done.run['run']}")
-    columns = export.table(Result(StoredRun(partial(answer, blind))))
+    columns = table(Result(StoredRun(partial(answer, blind))))
     is_dark = columns["bin"] < 0
     assert 0 < is_dark.sum() < is_dark.size
     for name in ("statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"):
@@ -219,14 +228,14 @@ def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
     assert (refused.exit_code, path.read_text()) == (2, "mine")
     assert "--force" in refused.stderr
 
-    def full_disk(*_: object) -> None:
+    def full_disk(*_: object) -> str:
         (tmp_path / ".run.csv").touch()
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setitem(export.FORMATS, "csv", full_disk)
+        patched.setitem(FORMATS, "csv", Format(("tracks",), full_disk))
         with pytest.raises(BadInput, match=r"run\.csv: No space left on device"):
-            export.write(_result(file), path, None, force=True)
+            formats.write(_result(file), path, None, force=True)
     assert path.read_text() == "mine"
     _exported(file, path, "--force")
     assert path.read_text().startswith("run,scenario,")
@@ -234,7 +243,7 @@ def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
     assert (tmp_path / "run.txt").read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("form", export.TEXTS)
+@pytest.mark.parametrize("form", TEXTS)
 def test_text_goes_to_standard_output_on_request(form: str, file: str, tmp_path: Path) -> None:
     path = tmp_path / f"run.{form}"
     _exported(file, path)
@@ -246,11 +255,13 @@ def test_text_goes_to_standard_output_on_request(form: str, file: str, tmp_path:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--out", "x.xlsx"], "must be one of csv, json, npz, parquet, mat"),
+        (["--out", "x.xlsx"], "must be one of csv, json, npz, parquet, mat, nc, mcap, rrd, gif"),
         (["--out", "nowhere/x.csv"], "nowhere/x.csv: No such file or directory"),
         (["nobody", "--out", "x.csv"], "run = 'nobody': no such run"),
         (["--out", "-", "--format", "mat"], "--format mat: must be csv or json for --out -, standard output"),
         (["--out", "-"], "must be csv or json for --out -"),
+        (["--out", "x.mcap", "--what", "tracks"], "--what tracks: mcap files hold run; use --format csv, json"),
+        (["--out", "x.csv", "--what", "clip"], "--what clip: csv files hold tracks"),
     ],
 )
 def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, file: str, tmp_path: Path) -> None:
@@ -265,15 +276,37 @@ def test_a_run_that_has_not_begun_to_track_has_nothing_to_write(tmp_path: Path) 
     begun = in_memory()
     begun.journal.add_run(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 5))
     with pytest.raises(BadInput, match="has no dwell to write yet"):
-        export.write(Result(StoredRun(partial(answer, begun))), tmp_path / "run.csv", None)
+        formats.write(Result(StoredRun(partial(answer, begun))), tmp_path / "run.csv", None)
 
 
-def test_parquet_without_pyarrow_says_what_to_install(
-    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("form", "module", "extra"),
+    [
+        ("parquet", "pyarrow", "parquet"),
+        ("nc", "netCDF4", "netcdf"),
+        ("mcap", "mcap.writer", "mcap"),
+        ("rrd", "rerun", "rerun"),
+    ],
+)
+def test_without_its_library_a_format_says_what_to_install(
+    form: str, module: str, extra: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(BadInput, match=r"pip install 'cogradar\[parquet\]'"):
-        export.write(_result(file), tmp_path / "run.parquet", None)
+    monkeypatch.setitem(sys.modules, module, None)
+    done = CliRunner().invoke(app, ["export", "--store", file, "--out", str(tmp_path / f"run.{form}")])
+    assert done.exit_code == 2
+    assert f"pip install 'cogradar[{extra}]'" in done.stderr.replace("\n", " ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", TABLES)
+def test_every_table_can_be_written(what: str, file: str, tmp_path: Path) -> None:
+    result, path = _result(file), tmp_path / "run.nc"
+    expected = TABLES[what](result)
+    assert f"{len(expected['run'])} rows of {what}" in _exported(file, path, "--what", what)
+    with xr.open_dataset(path) as loaded:
+        assert list(loaded) == list(expected)
+        for name, values in expected.items():
+            assert np.array_equal(loaded[name].to_numpy(), values, equal_nan=values.dtype.kind == "f"), name
 
 
 if shutil.which("octave-cli"):

@@ -10,7 +10,7 @@ import pytest
 
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.figures import draw_all
-from cogradar.services.analysis.export import table
+from cogradar.services.analysis.export.tables import table
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.display import run_caption
 from cogradar.services.metrics.answers import answer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.analysis.arrays.result import Result as Arrays
-from cogradar.services.analysis.export import table
+from cogradar.services.analysis.export.tables import table
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory

@@ -11,7 +11,7 @@ import pytest
 
 from cogradar.services.analysis.arrays.result import Result as Arrays
 from cogradar.services.analysis.drawing.figures import accuracy, power_shares, tracks
-from cogradar.services.analysis.export import table
+from cogradar.services.analysis.export.tables import table
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.results import read_results
 from cogradar.services.analysis.stored_run import StoredRun

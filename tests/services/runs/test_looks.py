@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.analysis.arrays import result as run_arrays
-from cogradar.services.analysis.export import table
+from cogradar.services.analysis.export.tables import table
 from cogradar.services.analysis.replay import replay
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer

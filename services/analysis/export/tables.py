@@ -1,20 +1,16 @@
-"""One run as one table in one file: a row per dwell and target, or track, or a row per detection. States are called as
-everywhere: x, vx, y, vy in km and km/s, x_hat and so on; other columns have their units in their names.
+"""One run as one table: a row per dwell and target, or track, or a row per detection, target or waveform.
+
+States are called as everywhere: x, vx, y, vy in km and km/s, x_hat and so on; other columns have their units in their
+names.
 """
 
-import csv
-import json
-import math
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from io import TextIOWrapper
-from pathlib import Path
-from typing import Any, BinaryIO
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.arrays.tracks import Tracks
 from cogradar.services.errors import BadInput
@@ -33,7 +29,15 @@ _PLACED = {
 FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 # What a run with announced tracks adds to the rows of its targets.
 NO_TRACKS = Tracks.of((), (), (), np.empty((0, 0)))
+UNITS = (("_km_s", "km/s"), ("_km2", "km2"), ("_km", "km"), ("_deg", "degree"), ("_db", "dB"), ("_s", "s"))  # by suffix
+STATES = {"x": "km", "y": "km", "z": "km", "vx": "km/s", "vy": "km/s"}
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
+
+
+def unit_of(column: str) -> str | None:
+    """Unit of a column, as its name says it; None: it has none, or it is not a physical quantity."""
+    by_suffix = (unit for suffix, unit in UNITS if column.endswith(suffix))
+    return STATES.get(column.removesuffix("_hat")) or next(by_suffix, None)
 
 
 class _Rows:
@@ -122,66 +126,29 @@ def table(result: Result) -> Table:
     return columns | {name: rows.of(result.column(name), missing) for name, missing in further.items()}
 
 
-def detections(result: Result) -> Table:
-    """A row per detection: what the run is, and the columns of `Result.detections`; of the amplitude two.
+def _table_of(rows: Callable[[Result], Records]) -> Callable[[Result], Table]:
+    """A row per row of a table of `Result`, what the run is before them; of complex numbers two columns."""
 
-    Raises BadInput if no scan is stored.
-    """
-    found = result.detections()
-    columns: Table = {name: np.full(found.size, text) for name, text in _of_run(result).items()}
-    columns |= {"seed": np.full(found.size, result.seed, dtype=np.int64)}
-    return columns | found.columns()
+    def found(result: Result) -> Table:
+        of_rows = rows(result)
+        columns: Table = {name: np.full(of_rows.size, text) for name, text in _of_run(result).items()}
+        return columns | {"seed": np.full(of_rows.size, result.seed, dtype=np.int64)} | of_rows.columns()
+
+    return found
 
 
 def _of_run(result: Result) -> dict[str, str]:
     return {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
 
 
-TABLES: dict[str, Callable[[Result], Table]] = {"tracks": table, "detections": detections}
-
-
-def write(result: Result, file: Path, form: str | None, what: str = "tracks", *, force: bool = False) -> str:
-    """Write one of TABLES of a run in a format, guessed from the name of the file if None; returns the format.
-
-    The file is there whole or not at all. Raises BadInput if it is there already, unless `force` is given.
-    """
-    form = form or file.suffix.removeprefix(".").lower()
-    if form not in FORMATS:
-        raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
-    columns = _columns(result, what)
-    with whole(file, force=force) as part, part.open("wb") as stream:
-        FORMATS[form](columns, stream)
-    return form
-
-
-@contextmanager
-def whole(file: Path, *, force: bool) -> Iterator[Path]:
-    """Another name for a file, under which it is written; it gets its own when all of it is there. Raises BadInput."""
-    if file.exists() and not force:
-        raise BadInput(f"{file}: is there already; --force replaces it")
-    part = file.with_name(f".{file.stem}.{os.getpid()}.part{file.suffix}")
-    try:
-        yield part
-        part.replace(file)
-    except OSError as error:
-        raise BadInput(f"{file}: {error.strerror or error}") from None
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
-def send(result: Result, stream: BinaryIO, form: str | None, what: str = "tracks") -> None:
-    """Write one of TABLES of a run to a stream, which stays open: text only. Raises BadInput."""
-    if form not in TEXTS:
-        raise BadInput(f"--format {form}: must be {' or '.join(TEXTS)} for --out -, standard output")
-    FORMATS[form](_columns(result, what), stream)
-    stream.flush()
-
-
-def _columns(result: Result, what: str) -> Table:
-    if what not in TABLES:
-        raise BadInput(f"--what {what}: must be one of {', '.join(TABLES)}, clip")
-    return TABLES[what](result)
+TABLES: dict[str, Callable[[Result], Table]] = {
+    "tracks": table,
+    "detections": _table_of(Result.detections),
+    "looks": _table_of(lambda result: result.detections(all_looks=True)),
+    "requests": _table_of(Result.requests),
+    "truth": _table_of(Result.truth),
+    "waveforms": _table_of(Result.waveforms),
+}
 
 
 def _place(states: NDArray[np.float64], suffix: str, site: SiteSection | None) -> dict[str, Any]:
@@ -200,56 +167,3 @@ def _place(states: NDArray[np.float64], suffix: str, site: SiteSection | None) -
         return columns
     found = Place.of(site).positions(states[..., 0], states[..., 2])
     return columns | {f"latitude{suffix}_deg": found.latitudes, f"longitude{suffix}_deg": found.longitudes}
-
-
-def _write_csv(columns: Table, stream: BinaryIO) -> None:
-    """Numbers as Python writes them, which come back bit for bit; what is unknown is empty."""
-    text = TextIOWrapper(stream, encoding="utf-8", newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*(values.tolist() for values in columns.values()), strict=True):
-        writer.writerow(["" if _is_unknown(value) else value for value in row])
-    text.detach()  # or it would close the stream
-
-
-def _is_unknown(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-def _write_json(columns: Table, stream: BinaryIO) -> None:
-    rows = [
-        {name: None if _is_unknown(value) else value for name, value in zip(columns, row, strict=True)}
-        for row in zip(*(values.tolist() for values in columns.values()), strict=True)
-    ]
-    stream.write(json.dumps(rows).encode())
-
-
-def _write_npz(columns: Table, stream: BinaryIO) -> None:
-    np.savez_compressed(stream, allow_pickle=False, **columns)
-
-
-def _write_mat(columns: Table, stream: BinaryIO) -> None:
-    """MATLAB's version 5, a column vector per column; texts are rows of characters."""
-    from scipy.io import savemat
-
-    savemat(stream, columns, oned_as="column", do_compression=True)  # type: ignore[arg-type] # it takes files, too; its stubs lack them
-
-
-def _write_parquet(columns: Table, stream: BinaryIO) -> None:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise BadInput("parquet needs pyarrow: pip install 'cogradar[parquet]'") from None
-    arrays = {name: pyarrow.array(values, from_pandas=True) for name, values in columns.items()}
-    pyarrow.parquet.write_table(pyarrow.table(arrays), stream)
-
-
-FORMATS: dict[str, Callable[[Table, BinaryIO], None]] = {
-    "csv": _write_csv,
-    "json": _write_json,
-    "npz": _write_npz,
-    "parquet": _write_parquet,
-    "mat": _write_mat,
-}
-TEXTS = ("csv", "json")  # can be shown, too
