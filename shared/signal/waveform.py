@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.elementwise import log10, squared_modulus, times
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.numerics.linear import product, singular
+from cogradar.shared.numerics.linear import embedded, product, singular
 from cogradar.shared.signal.array import steering_vector
 
 Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
@@ -33,7 +33,8 @@ def root(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex
     isotropic : float >= 0, power sent equally in all directions
     factor    : (n_tx, r) complex, F
     returns   : (n_tx, n_tx) complex
-    Cost O(n_tx r^2 + n_tx^2 r) through the thin SVD, against O(n_tx^3) for the square root of R itself.
+    Cost O(n_tx r^2 + n_tx^2 r) through singular vectors, against O(n_tx^3) for the square root of R itself. Of a
+    factor without the symmetry of `antennas` each vector is there twice, turned by 90 degrees, with half of d.
     """
     level, u, gain = _root_parts(isotropic, factor)
     return np.asarray(level * np.eye(factor.shape[0]) + product(u * gain, u.conj().T))
@@ -74,6 +75,7 @@ class Signatures:
         """
         self.root, self.n_rx, self._elements = _root_parts(isotropic, factor), n_rx, elements
         self._known: dict[float, Signature] = {}
+        self._powers: dict[float, float] = {}
         self._grid: tuple[NDArray[np.float64], NDArray[np.complex128]] | None = None
         self._expected: list[list[float]] = []  # directions that are not worked out yet
 
@@ -90,6 +92,11 @@ class Signatures:
             self._work_out(np.array(together))
             self._expected = [nus for nus in self._expected if nus is not together]
         return self._known[nu]
+
+    def power_at(self, nu: float) -> float:
+        """||v||^2 in a direction."""
+        self.at(nu)
+        return self._powers[nu]
 
     def prepare(self, nus: list[float]) -> None:
         """Expect many directions: they are worked out together, which is faster, with the first that is needed."""
@@ -108,6 +115,8 @@ class Signatures:
             a_tx, a_rx = times(a_tx, self._elements.sent), times(a_rx, self._elements.received)
         halves = _transmitted(self.root, a_tx), a_rx
         self._known |= zip(nus.tolist(), zip(*halves, strict=True), strict=True)
+        powers = np.sum(squared_modulus(halves[0]), axis=1) * np.sum(squared_modulus(a_rx), axis=1)
+        self._powers |= zip(nus.tolist(), powers.tolist(), strict=True)
 
 
 @kernel
@@ -201,5 +210,9 @@ def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> Root:
     """w_0, U and d of the square root (`root`)."""
     level = float(np.sqrt(isotropic / factor.shape[0]))
     real = _coordinates(factor)  # of all built-in rules: a quarter of the arithmetic
-    u, s = singular(factor if real is None else real)
-    return level, u if real is None else antennas(u), np.sqrt(level**2 + s**2) - level
+    u, s = singular(embedded(factor) if real is None else real)
+    gain = np.sqrt(level**2 + s**2) - level
+    if real is not None:
+        return level, antennas(u), gain
+    half = factor.shape[0]
+    return level, u[:half] + 1j * u[half:], 0.5 * gain  # each singular value twice, with two vectors

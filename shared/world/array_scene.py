@@ -84,7 +84,7 @@ class ArrayScene(Scene):
             return DataSet(self._received(k, cell, echoes, interference, real), signatures, self._processing)
 
         def loudest(look: Look, others: Sequence[int]) -> Measured:
-            return self._loudest_empty(k, look, others, signatures.at(look.nu))
+            return self._loudest_empty(k, look, others, signatures.power_at(look.nu))
 
         others = references(self._range_cells) if self._processing.by_range else ()
         rows = receive(looks, received, exact, self._receiver.range_cell_km, loudest, others)

@@ -71,7 +71,7 @@ class CellScene(Scene):
             range_km = range_cell_centre(cell, self._receiver.range_cell_km) if look.cells else 0.0
             measured.append(DataSet(y, signatures, self._processing).measure(look, range_km))
         if len(look.cells) > len(occupied):
-            measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
+            measured.append(self._loudest_empty(k, look, occupied, signatures.power_at(look.nu)))
         return measured
 
     def _echoes(self, k: int) -> list[_Echo]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import hypot, log10
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.numerics.linear import energy
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.world_config import WorldConfig
@@ -27,7 +26,6 @@ from cogradar.shared.signal.looks import NO_RANGE, Look, Measured, range_cell_ce
 from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import Cell
-from cogradar.shared.signal.waveform import Signature
 from cogradar.shared.world.disturbance import draw, power_spectrum
 from cogradar.shared.world.targets import Flights, echo_amplitudes
 
@@ -154,7 +152,7 @@ class Scene(ABC):
         rng = generator(self._seed, Purpose.DISTURBANCE, bin_ + (range_cell - NO_RANGE) * _RANGE_KEY, k)
         return draw(self._disturbance_model, self._array.n_tx * self._array.n_rx, rng)
 
-    def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature: Signature) -> Measured:
+    def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature_power: float) -> Measured:
         """The largest statistic of the n range cells of a look that have no target, drawn from its distribution.
 
             Lambda = -2 ln(1 - U^(1/n)),   U uniform: the largest of n that are chi-square with 2 degrees of freedom
@@ -163,10 +161,9 @@ class Scene(ABC):
         it: noise in the derivative's channel is kappa^2 times that in the sum's, and independent. sigma_hat is what it
         is on average, sqrt(S_c(nu) / ||v||^2).
 
-        occupied : numbers of the other cells, ascending
+        occupied        : numbers of the other cells, ascending
+        signature_power : ||v||^2
         """
-        u, a_rx = signature
-        signature_power = energy(u) * a_rx.size
         if signature_power == 0.0:
             return Measured(look, Cell(0.0, 0j, 0.0, 0.0), 0.0, look.nu, 0.0)
         n = len(look.cells) - len(occupied)
@@ -182,6 +179,6 @@ class Scene(ABC):
         range_km = range_cell_centre(range_cell, self._receiver.range_cell_km)
         if not self._receiver.monopulse or statistic < look.limit:
             return Measured(look, cell, range_km, look.nu, 0.0)
-        rho = math.sqrt(0.5 * kappa_sq(a_rx.size)) / r * rng.standard_normal()
-        rho_sigma = flat_ratio_sigma(rho, r, a_rx.size)
-        return Measured(look, cell, range_km, *direction(look.nu, rho, rho_sigma, a_rx.size))
+        rho = math.sqrt(0.5 * kappa_sq(self._array.n_rx)) / r * rng.standard_normal()
+        rho_sigma = flat_ratio_sigma(rho, r, self._array.n_rx)
+        return Measured(look, cell, range_km, *direction(look.nu, rho, rho_sigma, self._array.n_rx))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import modulus, squared_modulus, times, whole_power
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.numerics.linear import energy, product
+from cogradar.shared.numerics.linear import product
 from cogradar.shared.signal.detector.levels import Levels, level_of
 from cogradar.shared.signal.detector.separation import (
     Echoes,
@@ -209,7 +209,7 @@ class DataSet:
             y = without(y, self.echoes, is_other)
         rho, rho_sigma, sigma_hat = off_axis_echo(y, own, self._signatures.root, look.nu, self._lags)
         # Beside other echoes less is left of the signature, and alpha_hat is less certain.
-        whole = energy(own[0]) * own[1].size
+        whole = self._signatures.power_at(look.nu)
         sigma_hat *= np.sqrt(whole / cell.signature_power) if is_other.any() else 1.0
         cell = cell._replace(sigma_hat=sigma_hat or cell.sigma_hat)
         if not processing.monopulse:

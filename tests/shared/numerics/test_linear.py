@@ -46,21 +46,42 @@ def test_elements_whose_squares_vanish_are_pivots_and_what_is_not_a_number_stays
     assert np.isnan(linear.solve(np.array([[np.nan]]), np.ones(1))).all()
 
 
-@pytest.mark.parametrize("shape", [(30, 3), (20, 20), (5, 9), (4, 0)])
+@pytest.mark.parametrize("shape", [(30, 3), (20, 20), (5, 9), (4, 0), (100, 100), (1, 1)])
 def test_singular_values_and_vectors_equal_numpy(shape: tuple[int, int]) -> None:
-    a = drawn(np.random.default_rng(3), *shape)
+    a = drawn(np.random.default_rng(3), *shape, is_complex=False)
     u, s = linear.singular(a)
-    np.testing.assert_allclose(s, np.linalg.svd(a, compute_uv=False), rtol=1e-12)
-    np.testing.assert_allclose((u * s**2) @ u.conj().T, a @ a.conj().T, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(u.conj().T @ u, np.eye(s.size), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(s, np.linalg.svd(a, compute_uv=False), rtol=1e-9)
+    np.testing.assert_allclose((u * s**2) @ u.T, a @ a.T, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(u.T @ u, np.eye(s.size), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 50, 101])
+def test_eigenvalues_of_one_size_tiny_ones_and_none_at_all(n: int) -> None:
+    rng = np.random.default_rng(n)
+    q = np.linalg.qr(drawn(rng, n, n, is_complex=False))[0]
+    for values in (
+        np.zeros(n),
+        np.ones(n),
+        np.repeat([3.0, -1.0], n)[::2][:n],
+        10.0 ** -np.arange(n),
+        1e-200 * np.arange(n),
+    ):
+        symmetric = (q * values) @ q.T
+        symmetric = 0.5 * (symmetric + symmetric.T)
+        found, vectors = linear.eigh(symmetric)
+        scale = np.abs(values).max() or 1.0
+        np.testing.assert_allclose(np.sort(found) / scale, np.sort(values) / scale, rtol=0, atol=1e-14 * n)
+        np.testing.assert_allclose(vectors.T @ vectors, np.eye(n), rtol=0, atol=1e-14 * n)
+        np.testing.assert_allclose((vectors * found) @ vectors.T / scale, symmetric / scale, rtol=0, atol=1e-14 * n)
 
 
 def test_repeated_columns_have_a_singular_value_of_zero() -> None:
     a = np.outer(drawn(np.random.default_rng(4), 6), [1.0, 1j, 0.0])
-    u, s = linear.singular(a)
-    assert s[0] == pytest.approx(np.linalg.norm(a))
-    assert s[1] <= 1e-15 * s[0]
-    np.testing.assert_allclose((u * s**2) @ u.conj().T, a @ a.conj().T, rtol=0, atol=1e-13)
+    u, s = linear.singular(linear.embedded(a))
+    assert s[:2] == pytest.approx(np.linalg.norm(a))
+    assert not s[2:].any()
+    assert not u[:, 2:].any()
+    np.testing.assert_allclose((u * s**2) @ u.T, linear.embedded(a @ a.conj().T), rtol=0, atol=1e-13)
     assert linear.spectral_norm(a.T) == pytest.approx(s[0])
 
 
