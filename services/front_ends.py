@@ -1,12 +1,16 @@
-"""Which front end an emulator drives: the simulated one, a recording, or a class of somebody with a real receiver.
+"""Which front end an emulator drives: the simulated one, a recording, or a real receiver of somebody: a class, or a
+process in any language.
 
-`simulated`, `recorded:FILE[#RUN]`, `PATH.py:NAME` or `package.module:NAME`; docs/howto/front-end.md.
+`simulated`, `recorded:FILE[#RUN]`, `zenoh:NAME[@ENDPOINT]`, `PATH.py:NAME` or `package.module:NAME`;
+docs/howto/front-end.md.
 """
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from cogradar.services.emulator.foreign import OpensForeign
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from cogradar.services.emulator.own_thread import OpensInOwnThread
 from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
@@ -14,6 +18,7 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
+from cogradar.shared.protocol.topics import FRONT_END_NAME
 from cogradar.shared.scenario.plugins.kinds import FRONT_END
 from cogradar.shared.scenario.plugins.names import OWN, PluginError, PluginRefused
 from cogradar.shared.scenario.plugins.resolver import Caller, resolve
@@ -22,14 +27,20 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 
 SIMULATED = "simulated"
 _RECORDED = "recorded:"
+_ZENOH = "zenoh:"
 
 
-def open_front_end(name: str) -> OpenFrontEnd:
-    """What opens the front end of this name for a run. Raises BadInput if there is none."""
+def open_front_end(name: str, connect: str = "") -> OpenFrontEnd:
+    """What opens the front end of this name for a run. Raises BadInput if there is none.
+
+    connect : endpoints of the system's router, comma-separated; empty: there is none that others know
+    """
     if name == SIMULATED:
         return SimulatedFrontEnd.open
     if name.startswith(_RECORDED):
         return _recorded(name)
+    if name.startswith(_ZENOH):
+        return _over_zenoh(name, connect)
     return OpensInOwnThread(_named(name))
 
 
@@ -40,6 +51,21 @@ def settled(name: str) -> str:
         return name
     file, run = _recording(name)
     return f"{_RECORDED}{Path(file).resolve()}#{run}"
+
+
+def _over_zenoh(name: str, connect: str) -> OpenFrontEnd:
+    called, _, where = name.removeprefix(_ZENOH).partition("@")
+    if not re.fullmatch(FRONT_END_NAME, called):
+        raise BadInput(
+            f"{name}: must be {_ZENOH}NAME or {_ZENOH}NAME@ENDPOINT; a name has 1 to 48 letters, digits, '.', '_' and"
+            " '-', the first a letter or digit"
+        )
+    if not (endpoints := where or connect):
+        raise BadInput(
+            f"{name}: no front end can know the router of this run: say where it listens, as in"
+            f" {_ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
+        )
+    return OpensForeign(called, endpoints.split(","))
 
 
 def _recorded(name: str) -> OpenFrontEnd:
@@ -89,7 +115,7 @@ def _named(name: str) -> Callable[[Settings], FrontEnd]:
         made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, settled_name(FRONT_END, name, Path()))
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
-        must = f"must be {SIMULATED}, {_RECORDED}FILE[#RUN], or your own: {OWN}"
+        must = f"must be {SIMULATED}, {_RECORDED}FILE[#RUN], {_ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
         raise BadInput(f"{name}: {must if is_none else error}") from None
     return made
 

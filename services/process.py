@@ -57,7 +57,8 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
     Raises BadInput; so it does if the certificate is another role's.
     """
     where, side = (listen, "listen") if role is Role.ROUTER else (connect, "connect")
-    start, validity = replace(start, name=process_name(role, start.name, where)), Validity.at(where, side)
+    start = replace(start, name=process_name(role, start.name, where), connect=connect)
+    validity = Validity.at(where, side)
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Printable(f"%(asctime)s {start.name} %(levelname)s %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler])

@@ -24,6 +24,7 @@ class Start:
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
     http: str = ""  # metrics: where it serves HTTP (`cogradar.services.web.address`); empty: nowhere
+    connect: str = ""  # endpoints of the router; empty: there is none
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -33,7 +34,7 @@ def _emulator(start: Start) -> Core:
     from cogradar.services.emulator.core import EmulatorCore
     from cogradar.services.front_ends import open_front_end
 
-    return EmulatorCore(open_front_end(start.front_end))
+    return EmulatorCore(open_front_end(start.front_end, start.connect))
 
 
 def _planner(start: Start) -> Core:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import (
     Checkpoint,
     Command,
@@ -122,6 +123,41 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "in_doubt": False,
     },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},
+    Opening: {"radar": SMOKE["radar"], "dwells": 12, "rate_hz": 10.0},
+    Hello: {
+        "incarnation": "0f1e2d3c",
+        "n_tx": 16,
+        "n_rx": 16,
+        "hands_over": "looks",
+        "max_rate_hz": 20.0,
+        "clock": "none",
+    },
+    Transmit: {
+        "k": 3,
+        "t": 1,
+        "deadline_s": 0.05,
+        "isotropic": 0.5,
+        "factor": np.ones((16, 2), np.complex64),
+        "bins": BINS,
+        "nus": np.array([-0.36, -0.16, 0.11]),
+        "limits": ROW,
+        "first_cells": np.array([80, 80, 0], np.int32),
+        "n_cells": np.array([2, 2, 390], np.int32),
+        "merged": np.zeros(3, np.int32),
+        "range_cells": np.array([80, 81], np.int32),
+        "beams": BEAMS,
+        "beam_nus": np.array([[-0.16], [0.11]]),
+        "gates": np.array([[40.0, 41.0], [0.0, 0.0]]),
+    },
+    Received: {
+        "incarnation": "0f1e2d3c",
+        "k": 3,
+        "bins": BINS,
+        "statistic": ROW,
+        "alpha_hat": ROW.astype(np.complex64),
+        "sigma_hat": ROW,
+        "signature_power": ROW,
+    },
 }
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from cogradar.shared.protocol.topics import ALIVE, CLAIM, QUERYABLES, TOPICS, Role, Topic
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, KINDS, QUERYABLES, TOPICS, Role, Topic
 from cogradar.shared.wire.contract.json_schema import Schema, described
 from docs.generator.markdown import code, prose, table
 
@@ -47,17 +47,17 @@ def keys() -> str:
 
 def messages() -> str:
     """A part per message, with a row per field."""
+    deliveries = {topic.message: _delivery(topic) for topic in TOPICS}
     return "\n".join(
-        f"### {topic.message.__name__}\n\n{_fields(described(topic.message)[0])}\n{_delivery(topic)}"
-        for topic in TOPICS
+        f"### {kind.__name__}\n\n{_fields(described(kind)[0])}\n{deliveries.get(kind, '')}" for kind in KINDS
     )
 
 
 def parts() -> str:
     """A part per type that messages have fields of, with a row per field."""
     shared: dict[str, Schema] = {}
-    for topic in TOPICS:
-        shared |= described(topic.message)[1]
+    for kind in KINDS:
+        shared |= described(kind)[1]
     kinds = {name: schema for name, schema in sorted(shared.items()) if "properties" in schema}
     return "\n".join(f"### {name}\n\n{_fields(schema)}" for name, schema in kinds.items())
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from cogradar.services.certs.names import holder_of
+from cogradar.services.certs.names import holder_of, limit_of
 from cogradar.shared.protocol.permissions import Act, permitted
-from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
+from cogradar.shared.protocol.slots import ALL_SLOTS
 
 # What Zenoh calls each act, as the router sees it: in what comes from the process, and in what goes to it.
 _FLOWS: dict[Act, tuple[tuple[str, tuple[str, ...]], ...]] = {
@@ -27,12 +27,12 @@ def access_control(names: Sequence[str]) -> dict[str, Any]:
     """
     subjects: dict[tuple[str, str], list[str]] = {}
     for name in names:
-        subjects.setdefault((holder_of(name), slots_of(name)), []).append(name)
+        subjects.setdefault((holder_of(name), limit_of(name)), []).append(name)
     rules, policies, listed = [], [], []
-    for (holder, slots), of_names in subjects.items():
-        subject = holder if slots == ALL_SLOTS else f"{holder}@{slots}"
+    for (holder, limit), of_names in subjects.items():
+        subject = holder if limit == ALL_SLOTS else f"{holder}@{limit}"
         ids = []
-        for act, keys in permitted(holder, slots).items():
+        for act, keys in permitted(holder, limit).items():
             for flow, messages in _FLOWS[act]:
                 ids.append(f"{subject}-{act}-{flow}")
                 rules.append(

@@ -1,4 +1,7 @@
-"""Names on certificates: ROLE.NAME, planner.NAME@FIRST-LAST, and the list of those that a router lets in."""
+"""Names on certificates: ROLE.NAME, planner.NAME@FIRST-LAST, and the list of those that a router lets in.
+
+The NAME of a front end is the one that it has behind `zenoh:`.
+"""
 
 import re
 from pathlib import Path
@@ -6,7 +9,7 @@ from pathlib import Path
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.permissions import HOLDERS
 from cogradar.shared.protocol.slots import N_SLOT, slots_in, slots_of
-from cogradar.shared.protocol.topics import Role
+from cogradar.shared.protocol.topics import FRONT_END, Role
 
 SETTINGS, ALLOWED = "zenoh.json5", "allowed"  # files: what a process is told, and the list
 _NAME = re.compile(r"([a-z]+)\.[A-Za-z0-9][A-Za-z0-9_.-]{0,47}(@.*)?")
@@ -23,6 +26,11 @@ def holder_of(name: str) -> str:
     if found[2] is not None and (found[1] != Role.PLANNER or not slots_in(slots_of(name))):
         raise BadInput(f"{name!r}: behind @ are a planner's slots, FIRST-LAST of 0-{N_SLOT - 1}")
     return found[1]
+
+
+def limit_of(name: str) -> str:
+    """What limits the part of a holder in the system: slots of a planner, the name of a front end."""
+    return name.partition(".")[2] if holder_of(name) == FRONT_END else slots_of(name)
 
 
 def allowed(file: str) -> list[str]:

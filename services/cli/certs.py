@@ -43,7 +43,7 @@ def certs(
     the system. `issue` writes FOLDER/ROLE.NAME/zenoh.json5, which is all that
     a process needs (--zenoh-config), and adds the name to FOLDER/allowed, the
     router's list (--allow). ROLE is a role of the system, or observer, who
-    reads and asks and sends nothing.
+    reads and asks and sends nothing, or frontend, who answers the emulator.
     """
     from cogradar.services.certs import authority
 

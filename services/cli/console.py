@@ -140,7 +140,10 @@ RunDwellsOption = Annotated[
     ),
 ]
 FRONT_END_VARIABLE = "COGRADAR_FRONT_END"
-_FRONT_END = "simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."
+_FRONT_END = (
+    "simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME, package.module:NAME, or zenoh:NAME[@ENDPOINT] for a"
+    " process in any language."
+)
 FrontEndOption = Annotated[str, typer.Option(help=_FRONT_END)]
 ServiceFrontEndOption = Annotated[str, typer.Option(envvar=FRONT_END_VARIABLE, help=f"Emulator: {_FRONT_END}")]
 RunArgument = Annotated[

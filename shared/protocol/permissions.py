@@ -8,7 +8,9 @@ from cogradar.shared.protocol.slots import ALL_SLOTS
 from cogradar.shared.protocol.topics import (
     ALIVE,
     CLAIM,
+    EXCHANGES,
     EXPOSITION,
+    FRONT_END,
     QUERY,
     TIMESTAMPS,
     TOPICS,
@@ -20,11 +22,12 @@ from cogradar.shared.protocol.topics import (
 OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
 COMMANDER = "commander"  # an observer that may also command runs
 WATCHING = (OBSERVER, COMMANDER)
-HOLDERS = (*Role, *WATCHING)  # of certificates
+HOLDERS = (*Role, *WATCHING, FRONT_END)  # of certificates
 COMMANDING = (Role.OPERATOR, Role.METRICS, COMMANDER)  # metrics for those who ask it over HTTP
 OF_THE_WORLD = (RunStart, EmulatorCheckpoint, Truth)  # from which the truth is known, or could be drawn
 
 _ASKED: dict[str, tuple[str, ...]] = {
+    Role.EMULATOR: tuple(exchange.key_of("*") for exchange in EXCHANGES),
     Role.OPERATOR: (QUERY, TIMESTAMPS),
     Role.METRICS: (QUERY, EXPOSITION),
     OBSERVER: (QUERY,),
@@ -49,12 +52,16 @@ def may_send(holder: str, topic: Topic) -> bool:
     return holder == topic.producer or (topic.message is Command and holder in COMMANDING)
 
 
-def permitted(holder: str, slots: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]:
-    """Key expressions with which a holder of a certificate may do what; a planner for the tracks in these slots.
+def permitted(holder: str, limit: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]:
+    """Key expressions with which a holder of a certificate may do what.
 
-    One without a limit may call itself and what it says as it likes, as those with each limit do.
+    limit : of a planner its slots; of a front end its name. A planner without a limit may call itself and what it says
+            as it likes, as those with each limit do.
     """
-    limited = "*" if slots == ALL_SLOTS else slots
+    if holder == FRONT_END:
+        asked = tuple(exchange.key_of(limit) for exchange in EXCHANGES)
+        return {Act.HEAR: asked, Act.ANSWER: asked}
+    limited = "*" if limit == ALL_SLOTS else limit
     sent = tuple(topic.pattern("*", slots=limited) for topic in TOPICS if may_send(holder, topic))
     if holder in WATCHING:
         read = tuple(topic.pattern("*") for topic in TOPICS if topic.message not in OF_THE_WORLD)

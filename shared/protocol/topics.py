@@ -8,7 +8,9 @@ asks for results need only speak the same protocol.
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
+from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import (
     Checkpoint,
     Command,
@@ -49,6 +51,9 @@ class Role(StrEnum):
     METRICS = "metrics"
 
 
+FRONT_END = "frontend"  # has a certificate, and is no process of ours: it answers the emulator
+
+
 class GivesWay(StrEnum):
     """Which message of a topic is dropped when no more of it may wait at a reader.
 
@@ -58,6 +63,21 @@ class GivesWay(StrEnum):
 
     ARRIVING = "arriving"  # its sender redelivers in order
     OLDEST = "oldest"  # what is newer mostly stands for it; of another run, it is repeated or redelivered
+
+
+def name_of(message: type[Message]) -> str:
+    """Lower-case name of a message, used in envelopes, logs and the store."""
+    return message.__name__.lower()
+
+
+def schema_of(message: type[Message]) -> str:
+    """Identifier of a message's schema; another version of the protocol has others."""
+    return f"urn:cogradar:{PROTOCOL}:{name_of(message)}"
+
+
+def encoding_of(message: type[Message]) -> str:
+    """Zenoh's encoding of a message, for tools that read no MessagePack; no receiver looks at it."""
+    return f"application/msgpack;schema={schema_of(message)}"
 
 
 @dataclass(frozen=True)
@@ -101,17 +121,17 @@ class Topic:
     @property
     def name(self) -> str:
         """Lower-case message name, used in envelopes, logs and the store."""
-        return self.message.__name__.lower()
+        return name_of(self.message)
 
     @property
     def schema(self) -> str:
         """Identifier of its messages' schema; another version of the protocol has others."""
-        return f"urn:cogradar:{PROTOCOL}:{self.name}"
+        return schema_of(self.message)
 
     @property
     def encoding(self) -> str:
         """Zenoh's encoding of each of its samples, for tools that read no MessagePack; no receiver looks at it."""
-        return f"application/msgpack;schema={self.schema}"
+        return encoding_of(self.message)
 
     @property
     def key(self) -> str:
@@ -168,7 +188,7 @@ PARTS_OF_KEYS = {
     "to": "name of the planner that is answered, or emulator",
     "protocol": "version of messages and keys",
     "role": "of the process",
-    "name": "of the process",
+    "name": "of the process, or of the front end",
     "moment": "when the process began, nanoseconds since 1970, and eight random hexadecimal digits",
     "metric": "what is asked for, such as runs; its parameters follow the key, NAME=VALUE;NAME=VALUE",
 }
@@ -179,10 +199,34 @@ class Queryable:
     """What processes answer when they are asked: the key of the questions, the encoding of the answers."""
 
     key: str
-    answerers: tuple[Role, ...]
+    answerers: tuple[str, ...]  # roles, and others that have certificates
     encoding: str
     meaning: str
 
+
+@dataclass(frozen=True)
+class Exchange(Queryable):
+    """A question of the emulator to a front end in a process of its own, and the answer, as messages."""
+
+    question: type[Message]
+    answer: type[Message]
+
+    @classmethod
+    def of(cls, end: str, question: type[Message], answer: type[Message]) -> Self:
+        """The exchange whose key has this end."""
+        meaning = f"a front end in any language: {question.__name__} in, {answer.__name__} out"
+        key = f"{_ROOT}/front-end/{{name}}/{end}"
+        return cls(key, (FRONT_END,), encoding_of(answer), meaning, question, answer)
+
+    def key_of(self, name: str) -> str:
+        """Key of a front end's queryable."""
+        return self.key.format(name=name)
+
+
+FRONT_END_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,47}"
+OPENING = Exchange.of("opening", Opening, Hello)
+DWELL = Exchange.of("dwell", Transmit, Received)
+EXCHANGES = (OPENING, DWELL)
 
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
 # Liveliness token of a process that wants to be the only one of its role: of several the lowest moment, in text, stays.
@@ -195,7 +239,10 @@ QUERYABLES = (
     Queryable(QUERY, (_M,), "application/json", "what is known of runs"),
     Queryable(TIMESTAMPS, tuple(Role), "application/json", "when a process received and sent its newest messages"),
     Queryable(EXPOSITION, tuple(Role), "text/plain;version=0.0.4", "metrics of a process, as Prometheus reads them"),
+    *EXCHANGES,
 )
+
+KINDS = (*BY_MESSAGE, *(kind for one in EXCHANGES for kind in (one.question, one.answer)))  # of messages
 
 
 def topics_read_by(role: Role) -> tuple[Topic, ...]:

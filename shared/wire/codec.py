@@ -3,10 +3,10 @@
 import math
 import reprlib
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgpack
 import numpy as np
@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
-from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME
+from cogradar.shared.protocol.topics import BY_NAME, name_of
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.limits import MAX_ROWS
 
@@ -35,6 +35,7 @@ NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
 Parts = Mapping[type[Message], type[Message]]  # of kinds of messages, with some of their fields
 WHOLE: Parts = MappingProxyType({})
+Kind = TypeVar("Kind", bound=Message)
 
 
 class BadMessage(ValueError):
@@ -45,7 +46,7 @@ def encode(message: Message) -> bytes:
     """Encode a message; equal messages give equal bytes."""
     said = vars(message)
     body = {name: said[name] for name, is_required in _fields(type(message)) if is_required or said[name] is not None}
-    envelope = {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": body}
+    envelope = {"v": SCHEMA, "topic": name_of(type(message)), "body": body}
     payload: bytes = msgpack.packb(envelope, default=_packed)
     if len(payload) > MAX_BYTES:
         raise ValueError(f"a {envelope['topic']} of {len(payload)} bytes is longer than {MAX_BYTES}")
@@ -72,9 +73,22 @@ def decode(payload: bytes, parts: Parts = WHOLE) -> Message:
             return kind.model_validate(read | arrays)
         return BY_NAME[topic].message.model_validate(_open(payload)[1] if parts else body)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        where = ".".join(str(part) for part in (topic, *first["loc"]))
-        raise BadMessage(_line(f"{where}: {first['msg'].removeprefix('Value error, ')}")) from None
+        raise _invalid(topic, error) from None
+
+
+def decode_answer(payload: bytes, kind: type[Kind]) -> Kind:
+    """Decode and check the answer to a question, which is on no topic. Raises BadMessage, and nothing else."""
+    topic, body = _open(payload, known=(name_of(kind),))
+    try:
+        return kind.model_validate(body)
+    except ValidationError as error:
+        raise _invalid(topic, error) from None
+
+
+def _invalid(topic: str, error: ValidationError) -> BadMessage:
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    where = ".".join(str(part) for part in (topic, *first["loc"]))
+    return BadMessage(_line(f"{where}: {first['msg'].removeprefix('Value error, ')}"))
 
 
 def fields(payload: bytes) -> dict[str, Any]:
@@ -118,7 +132,7 @@ def _run(name: str) -> bytes:
     return field
 
 
-def _open(payload: bytes, *, keeps_packed: bool = False) -> tuple[str, dict[str, Any]]:
+def _open(payload: bytes, *, keeps_packed: bool = False, known: Container[str] = BY_NAME) -> tuple[str, dict[str, Any]]:
     """Topic and body of an envelope of this schema; `keeps_packed`: its arrays as (type, bytes)."""
     if not isinstance(payload, bytes):  # SQLite keeps anything in any column
         raise BadMessage(f"{type(payload).__name__} instead of bytes")
@@ -135,7 +149,7 @@ def _open(payload: bytes, *, keeps_packed: bool = False) -> tuple[str, dict[str,
     version, topic, body = envelope["v"], envelope["topic"], envelope["body"]
     if type(version) is not int or version != SCHEMA:
         raise BadMessage(_line(f"schema {reprlib.repr(version)}, expected {SCHEMA}"))
-    if not isinstance(topic, str) or topic not in BY_NAME:
+    if not isinstance(topic, str) or topic not in known:
         raise BadMessage(_line(f"unknown topic {reprlib.repr(topic)}"))
     if not isinstance(body, dict):
         raise BadMessage(f"{topic}: the body is not a map")

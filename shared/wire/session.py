@@ -17,7 +17,7 @@ from pathlib import Path
 
 import zenoh
 
-from cogradar.shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
+from cogradar.shared.protocol.topics import EXCHANGES, EXPOSITION, QUERY, TIMESTAMPS, Role
 from cogradar.shared.wire.codec import MAX_BYTES
 from cogradar.shared.wire.membership import LEASE_S
 from cogradar.shared.wire.queries import ENCODINGS
@@ -35,9 +35,14 @@ OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # the file of every session of a process, and of those that it starts
 ENCRYPTED = ("tls/", "quic/")
 TLS = "transport/link/tls"  # where Zenoh's settings have certificates
-SIZES = [  # bytes that a router passes on
-    {"id": kind, "messages": [kind], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": most}
-    for kind, most in (("put", MAX_BYTES), ("query", 4096))
+_SHORT = [re.sub(r"\{\w+\}", "*", key) for key in (QUERY, TIMESTAMPS, EXPOSITION)]
+SIZES = [  # bytes that a router passes on; of other questions it passes on none
+    {"id": name, "messages": [kind], "flows": ["ingress"], "key_exprs": keys, "size_limit": most}
+    for name, kind, keys, most in (
+        ("put", "put", ["**"], MAX_BYTES),
+        ("query", "query", _SHORT, 4096),
+        ("front-end", "query", [exchange.key_of("*") for exchange in EXCHANGES], MAX_BYTES),
+    )
 ]
 
 
@@ -51,19 +56,28 @@ def open_session(
     check: Callable[[], None],
     notify: Callable[[str], None] = lambda _: None,
     file: str = "",
+    *,
+    shares_memory: bool = False,
 ) -> zenoh.Session:
     """Connect to one of the routers at `endpoints`, trying again until one is there.
 
     `check` is called between attempts and may raise to give up; `notify` is told once that, and why, it takes a while.
-    `file` has settings of Zenoh's own; empty: the one that COGRADAR_ZENOH names, if any. Raises ConnectionError
-    after `within_s`, and BadConfig.
+    `file` has settings of Zenoh's own; empty: the one that COGRADAR_ZENOH names, if any. With `shares_memory` long
+    payloads go through the memory of this machine, if the other end does the same. Raises ConnectionError after
+    `within_s`, and BadConfig.
     """
     deadline = None if within_s is None else time.monotonic() + within_s
     where = ", ".join(endpoints)
     retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+    shared = {"transport__shared_memory__enabled": True} if shares_memory else {}
     try:
         config = _config(
-            "client", file, connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS, connect__retry=retry
+            "client",
+            file,
+            connect__endpoints=list(endpoints),
+            connect__timeout_ms=OPEN_MS,
+            connect__retry=retry,
+            **shared,
         )
     except zenoh.ZError:
         raise ConnectionError(f"{where}: not an endpoint, such as tcp/127.0.0.1:7447") from None
@@ -199,7 +213,9 @@ def _reason(error: zenoh.ZError) -> str:
 
 
 def _config(mode: str, file: str = "", **settings: object) -> zenoh.Config:
-    """Configuration of a session: explicit endpoints only, no discovery, no shared memory; the rest is a file's."""
+    """Configuration of a session: explicit endpoints only, no discovery, no shared memory unless `settings` has it; the
+    rest is a file's.
+    """
     config = _of_file(file or os.environ.get(CONFIG_VARIABLE, ""))
     fixed: dict[str, object] = {
         "mode": mode,

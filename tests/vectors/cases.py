@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
@@ -44,7 +45,7 @@ from cogradar.shared.protocol.recovery import (
     WaveformRecall,
 )
 from cogradar.shared.protocol.roster import Compared, Roster
-from cogradar.shared.protocol.topics import BY_MESSAGE, TOPICS
+from cogradar.shared.protocol.topics import KINDS, name_of
 from cogradar.shared.scenario.files import load
 from cogradar.shared.wire.codec import encode
 from tests.samples import sample
@@ -245,22 +246,60 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
         },
     ),
     RunEnd: ({"k": 0, "t": 0}, {"k": LAST, "t": LAST, "status": "failed", "reason": "y" * 500}),
+    Opening: ({"dwells": 1, "rate_hz": 0.0}, {"radar": SKY["radar"], "dwells": LAST, "rate_hz": 1000.0}),
+    Hello: (
+        {"incarnation": "x", "n_tx": 1, "n_rx": 1},
+        {"n_tx": 4096, "n_rx": 4096, "hands_over": "data", "max_rate_hz": 1e3, "clock": "utc", "site": "~" * 100},
+    ),
+    Transmit: (
+        {
+            **dict.fromkeys(("bins", "first_cells", "n_cells", "merged", "range_cells"), NO_BINS),
+            "nus": EMPTY,
+            "limits": EMPTY,
+            "gates": np.empty((0, 2)),
+            "beam_nus": np.empty((0, 1)),
+            "k": 0,
+            "t": 0,
+            "factor": np.zeros((2, 0), np.complex64),
+            "beams": np.empty((0, 1), np.int32),
+        },
+        {
+            "k": LAST,
+            "t": LAST,
+            "factor": (_rows(32, *range(1, 17)) * (1.0 - 0.5j)).astype(np.complex64),
+            "range_cells": np.arange(390, dtype=np.int32),
+        },
+    ),
+    Received: (
+        {
+            **dict.fromkeys(("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power")),
+            "fault": "dark",
+            "ended": True,
+        },
+        {
+            **{name: value for name, value in _looks(25, 10).items() if name in Received.model_fields},
+            "k": LAST,
+            "lost_km": np.array([10.0, 10.03]),
+            "range_cells": np.arange(390, dtype=np.int32),
+            "utc_s": 1.7e9 + 0.123456,
+        },
+    ),
 }
 
 
 def vectors() -> Iterator[tuple[str, Message]]:
     """Name and message of each."""
-    for topic in TOPICS:
-        changes = CHANGES.get(topic.message, ({}, {}))
+    for kind in KINDS:
+        changes = CHANGES.get(kind, ({}, {}))
         for size, run, changed in zip(SIZES, ("r", "paper-0f", LONGEST), (changes[0], {}, changes[1]), strict=True):
-            yield f"{topic.name}.{size}", sample(topic.message, run=run, **changed)
+            yield f"{name_of(kind)}.{size}", sample(kind, run=run, **changed)
 
 
 def as_json(message: Message) -> dict[str, Any]:
     """Envelope and content of a message as JSON has them; fields that are none are left out."""
     fields = type(message).model_fields
     sent = {name: value for name, value in vars(message).items() if fields[name].is_required() or value is not None}
-    return {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": _plain(sent)}
+    return {"v": SCHEMA, "topic": name_of(type(message)), "body": _plain(sent)}
 
 
 def _plain(value: Any) -> Any:

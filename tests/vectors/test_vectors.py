@@ -6,23 +6,25 @@ from typing import Any
 
 import pytest
 
-from cogradar.shared.protocol.topics import TOPICS
-from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.protocol.topics import BY_NAME, EXCHANGES, KINDS, name_of
+from cogradar.shared.wire.codec import decode, decode_answer, encode
 from tests.vectors import plain
 from tests.vectors.cases import FILE, SIZES, as_json, lines, stored
 
 VECTORS = stored()
+EXCHANGED = {name_of(kind): kind for one in EXCHANGES for kind in (one.question, one.answer)}
 
 
 def test_the_vectors_are_those_of_the_program() -> None:
     assert FILE.read_text(encoding="utf-8") == lines(), "python -m tests.vectors --write"
-    assert [vector["name"] for vector in VECTORS] == [f"{topic.name}.{size}" for topic in TOPICS for size in SIZES]
+    assert [vector["name"] for vector in VECTORS] == [f"{name_of(kind)}.{size}" for kind in KINDS for size in SIZES]
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
 def test_bytes_and_json_are_the_same_message(vector: dict[str, Any]) -> None:
     payload = base64.b64decode(vector["bytes"])
-    message = decode(payload)
+    topic = vector["json"]["topic"]
+    message = decode(payload) if topic in BY_NAME else decode_answer(payload, EXCHANGED[topic])
     assert json.dumps(as_json(message)) == json.dumps(vector["json"])
     assert encode(message) == payload
 

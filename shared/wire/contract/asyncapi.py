@@ -3,6 +3,7 @@
 import re
 from typing import Any
 
+from cogradar.shared.protocol.messages import Message
 from cogradar.shared.protocol.permissions import Act, expression, holders
 from cogradar.shared.protocol.topics import (
     ALIVE,
@@ -11,8 +12,10 @@ from cogradar.shared.protocol.topics import (
     PROTOCOL,
     QUERYABLES,
     TOPICS,
+    Exchange,
     Queryable,
     Topic,
+    encoding_of,
 )
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT
 from cogradar.shared.wire.contract.json_schema import described, envelope
@@ -38,19 +41,20 @@ def document() -> Document:
     for topic in TOPICS:
         body, parts = described(topic.message, _SHARED)
         shared |= parts
-        messages[topic.name] = {
-            "contentType": topic.encoding,
-            "summary": (topic.message.__doc__ or "").strip().splitlines()[0],
-            "payload": envelope(topic, body),
-        }
+        messages[topic.name] = _of_message(topic.message, body)
         channels[topic.name] = _of_topic(topic)
         operations |= _of_roles(topic)
     for queryable in QUERYABLES:
         name = _name(queryable.key)
-        messages |= {
-            f"{name}.question": {"summary": "A query without a payload.", "payload": {"type": "null"}},
-            f"{name}.answer": {"contentType": queryable.encoding, "summary": queryable.meaning},
-        }
+        asked: Document = {"summary": "A query without a payload.", "payload": {"type": "null"}}
+        answered: Document = {"contentType": queryable.encoding, "summary": queryable.meaning}
+        if isinstance(queryable, Exchange):
+            (question, parts), (answer, more) = (
+                described(one, _SHARED) for one in (queryable.question, queryable.answer)
+            )
+            shared |= parts | more
+            asked, answered = _of_message(queryable.question, question), _of_message(queryable.answer, answer)
+        messages |= {f"{name}.question": asked, f"{name}.answer": answered}
         channels[name] = _of_queryable(queryable)
         operations |= _of_answerers(queryable)
     channels |= {name: _of_token(key, text) for name, (key, text) in TOKENS.items()}
@@ -73,6 +77,11 @@ def document() -> Document:
         "operations": operations,
         "components": {"messages": messages, "schemas": shared},
     }
+
+
+def _of_message(kind: type[Message], body: Document) -> Document:
+    summary = (kind.__doc__ or "").strip().splitlines()[0]
+    return {"contentType": encoding_of(kind), "summary": summary, "payload": envelope(kind, body)}
 
 
 def _of_topic(topic: Topic) -> Document:
@@ -165,5 +174,5 @@ def _word(chosen: object) -> str:
 
 
 def _name(key: str) -> str:
-    """The part of a key that says what it is for."""
-    return next(part for part in key.split("/")[2:] if not part.startswith("{"))
+    """The parts of a key that say what it is for."""
+    return "-".join(part for part in key.split("/")[2:] if not part.startswith("{"))

@@ -8,7 +8,7 @@ from pydantic_core.core_schema import TaggedUnionSchema
 
 from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
-from cogradar.shared.protocol.topics import PROTOCOL, TOPICS, Topic
+from cogradar.shared.protocol.topics import KINDS, PROTOCOL, name_of, schema_of
 from cogradar.shared.wire.codec import ARRAY
 from cogradar.shared.wire.contract.meanings import meanings, shape, unit
 
@@ -31,15 +31,15 @@ class _Generator(GenerateJsonSchema):
         return False
 
 
-def envelope(topic: Topic, body: Schema) -> Schema:
-    """Schema of a message of a topic, whose body has a schema."""
+def envelope(kind: type[Message], body: Schema) -> Schema:
+    """Schema of a message whose body has a schema."""
     return {
-        "title": topic.message.__name__,
-        "description": _text(topic.message),
+        "title": kind.__name__,
+        "description": _text(kind),
         "type": "object",
         "properties": {
             "v": {"const": SCHEMA, "description": "version of the envelope"},
-            "topic": {"const": topic.name, "description": "kind of message"},
+            "topic": {"const": name_of(kind), "description": "kind of message"},
             "body": body,
         },
         "required": ["v", "topic", "body"],
@@ -61,10 +61,11 @@ def described(kind: type[Message], template: str = DEFAULT_REF_TEMPLATE) -> tupl
 
 def document() -> Schema:
     """A schema for every message, each with an identifier of its own, in one document."""
-    kinds = {}
-    for topic in TOPICS:
-        body, shared = described(topic.message)
-        kinds[topic.name] = {"$id": topic.schema, **envelope(topic, body), **({"$defs": shared} if shared else {})}
+    schemas = {}
+    for kind in KINDS:
+        body, shared = described(kind)
+        parts = {"$defs": shared} if shared else {}
+        schemas[name_of(kind)] = {"$id": schema_of(kind), **envelope(kind, body), **parts}
     return {
         "$schema": DIALECT,
         "$id": ROOT,
@@ -75,8 +76,8 @@ def document() -> Schema:
             " JSON; bytes are an object with base64. A schema cannot say how fields depend on each other: receivers"
             " check that, too."
         ),
-        "oneOf": [{"$ref": topic.schema} for topic in TOPICS],
-        "$defs": kinds,
+        "oneOf": [{"$ref": schema_of(kind)} for kind in KINDS],
+        "$defs": schemas,
     }
 
 

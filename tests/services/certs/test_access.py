@@ -16,7 +16,18 @@ from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import Command, Message, Plan, Scan
 from cogradar.shared.protocol.permissions import COMMANDER, HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
 from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
-from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
+from cogradar.shared.protocol.topics import (
+    ALIVE,
+    BY_MESSAGE,
+    EXCHANGES,
+    EXPOSITION,
+    FRONT_END,
+    PROTOCOL,
+    QUERY,
+    TIMESTAMPS,
+    TOPICS,
+    Role,
+)
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
 from cogradar.shared.wire.queries import alive
@@ -89,11 +100,13 @@ def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured
                 kept.append(session.liveliness().declare_token(_key(ALIVE, role, holder)))
                 kept += [_answering(session, _key(form, role, holder), holder) for form in (TIMESTAMPS, EXPOSITION)]
             kept.append(_answering(session, QUERY.format(metric="runs"), holder))
-        processes = set(HOLDERS) - {OBSERVER, COMMANDER, Role.ROUTER}
+        processes = set(HOLDERS) - {OBSERVER, COMMANDER, FRONT_END, Role.ROUTER}
         shown = {role: [str(role)] for role in Role if role in processes}
-        assert until(lambda: all(alive(session, build()).names == shown for session in askers.values()))
+        seeing = [session for holder, session in askers.items() if holder != FRONT_END]
+        assert until(lambda: all(alive(session, build()).names == shown for session in seeing))
         time.sleep(SETTLE_S)
-        for session in askers.values():
+        assert not alive(askers[FRONT_END], build()).names
+        for session in seeing:
             assert alive(session, build()).names == shown
         own = {f"{role}/{role}" for role in processes}
         expected: dict[tuple[str, str], set[str]] = {(asker, form): set() for asker in HOLDERS for form in FORMS}
@@ -169,6 +182,27 @@ def _tracks(message: Message) -> object:
     return getattr(message, "target", getattr(message, "targets", None))
 
 
+def test_only_the_emulator_asks_front_ends_and_each_answers_for_its_own_name(secured: Secured) -> None:
+    """Every holder answers for two front ends, and every one asks both; a question may hold a large waveform."""
+    kept: list[Any] = []
+    keys = [one.key_of(name) for one in EXCHANGES for name in ("here", "there")]
+    with _sessions(secured) as askers, _sessions(secured) as sessions:
+        for holder, session in sessions.items():
+            kept += [_answering(session, key, holder) for key in keys]
+
+        def answers(holder: str, key: str) -> set[str]:
+            replies = askers[holder].get(
+                key, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE, payload=bytes(1 << 20)
+            )
+            return {reply.ok.payload.to_string() for reply in replies if reply.ok is not None}
+
+        assert until(lambda: all(answers(Role.EMULATOR, one.key_of("here")) for one in EXCHANGES))
+        time.sleep(SETTLE_S)
+        found = {(holder, key): answers(holder, key) for holder in HOLDERS for key in keys}
+    expected = {(Role.EMULATOR, one.key_of("here")): {"here/frontend"} for one in EXCHANGES}
+    assert {asked: said for asked, said in found.items() if said} == expected
+
+
 def test_what_is_too_long_is_not_passed_on(secured: Secured) -> None:
     key, received = BY_MESSAGE[Scan].pattern("*").replace("*", "r"), list[int]()
     with secured.session(Role.EMULATOR) as sender, secured.session(Role.RECORDER) as reader:
@@ -190,7 +224,7 @@ def test_truth_and_questions_are_for_few() -> None:
     truth = next(topic.pattern("*") for topic in TOPICS if topic.name == "truth")
     assert {holder for holder, keys in reading.items() if truth in keys} == {Role.RECORDER}
     asking = {holder for holder in HOLDERS if Act.ASK in permitted(holder)}
-    assert asking == {Role.OPERATOR, Role.METRICS, OBSERVER, COMMANDER}
+    assert asking == {Role.OPERATOR, Role.METRICS, Role.EMULATOR, OBSERVER, COMMANDER}
     assert set(permitted(OBSERVER)) == {Act.READ, Act.ASK, Act.SEE}
     assert permitted(COMMANDER) == permitted(OBSERVER) | {Act.SEND: (BY_MESSAGE[Command].pattern("*"),)}
     assert set(permitted(Role.ROUTER)) == {Act.SEE}

@@ -15,7 +15,17 @@ from cogradar.shared.protocol.messages import (
     Waveform,
 )
 from cogradar.shared.protocol.recovery import Handover, History, NoPlans
-from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
+from cogradar.shared.protocol.topics import (
+    BY_MESSAGE,
+    BY_NAME,
+    DWELL,
+    EXCHANGES,
+    QUERY,
+    TOPICS,
+    Role,
+    Topic,
+    topics_read_by,
+)
 from tests.samples import sample
 
 
@@ -29,8 +39,10 @@ def _messages(kind: type[Message]) -> set[type[Message]]:
     return found.union(*(_messages(below) for below in kind.__subclasses__()))
 
 
-def test_every_message_has_one_topic() -> None:
-    assert set(BY_MESSAGE) == _messages(Message) - {Message}
+def test_every_message_has_one_topic_or_is_of_an_exchange() -> None:
+    exchanged = {kind for one in EXCHANGES for kind in (one.question, one.answer)}
+    assert set(BY_MESSAGE) | exchanged == _messages(Message) - {Message}
+    assert not set(BY_MESSAGE) & exchanged
     assert len(BY_MESSAGE) == len(BY_NAME) == len(TOPICS)
 
 
@@ -76,3 +88,4 @@ def test_keys() -> None:
     assert BY_MESSAGE[Plan].pattern("1f3a", slots="0-7") == "cogradar/8/1f3a/run/*/plan/0-7"
     assert BY_MESSAGE[History].pattern("1f3a", to="p1") == "cogradar/8/1f3a/run/*/history/p1"
     assert QUERY.format(metric="rmse") == "cogradar/8/query/rmse"
+    assert DWELL.key_of("roof") == "cogradar/8/front-end/roof/dwell"

@@ -1,0 +1,1 @@
+"""What the emulator asks a front end in another process, in any language, and what it answers."""
