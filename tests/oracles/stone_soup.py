@@ -34,6 +34,12 @@ class Metrics(NamedTuple):
 
 def metrics(tracks: States, truths: States) -> Metrics:
     """Of tracks and truths; in each dwell there is one of them at least."""
+    paths = {GroundTruthPath(_states(states)) for states in truths.values()}
+    return metrics_of({Track(_states(states)) for states in tracks.values()}, paths)
+
+
+def metrics_of(tracks: set[Track], paths: set[GroundTruthPath]) -> Metrics:
+    """Of Stone Soup's own tracks and paths."""
     position, velocity = Euclidean(mapping=[0, 2]), Euclidean(mapping=[1, 3])
     manager = MultiManager(
         [
@@ -43,12 +49,7 @@ def metrics(tracks: States, truths: States) -> Metrics:
         ],
         TrackToTruth(association_threshold=CUT_OFF_KM, measure=position, consec_pairs_confirm=1, consec_misses_end=1),
     )
-    manager.add_data(
-        {
-            "tracks": {Track(_states(states)) for states in tracks.values()},
-            "groundtruth_paths": {GroundTruthPath(_states(states)) for states in truths.values()},
-        }
-    )
+    manager.add_data({"tracks": tracks, "groundtruth_paths": paths})
     found = manager.generate_metrics()
     gospa = [one.value for one in found["gospa"]["GOSPA Metrics"].value]
     siap = found["siap"]
@@ -65,3 +66,8 @@ def metrics(tracks: States, truths: States) -> Metrics:
 
 def _states(states: Mapping[int, NDArray[np.float64]]) -> list[State]:
     return [State(state, timestamp=BEGAN + timedelta(seconds=t)) for t, state in sorted(states.items())]
+
+
+def state(numbers: NDArray[np.float64]) -> State:
+    """A state of theirs, (4,)."""
+    return State(numbers)
