@@ -78,7 +78,7 @@ class StoredRun:
             if waveform is not None:
                 made[k] = waveform
         if not is_stored:
-            raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")
+            raise BadInput(f"{self.name}: no scan is stored yet, or none ever, as in the store of a campaign")
 
     def orders(self) -> list[Order]:
         """All commands that were granted, in the order of their numbers."""

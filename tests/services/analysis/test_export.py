@@ -179,7 +179,7 @@ def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> Non
         assert place.seen(*at) == pytest.approx((columns[f"x{suffix}"][0], columns[f"y{suffix}"][0]), abs=1e-6)
 
 
-def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
+def test_of_a_campaigns_run_there_is_what_its_store_has(file: str, tmp_path: Path) -> None:
     recording = take(Store(Journal(file, read_only=True)), _result(file).run)
     assert recording is not None
     kept = in_memory()
@@ -188,6 +188,9 @@ def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
     whole = table(_result(file))
     assert set(whole) - set(columns) == {"statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"}
     assert all(np.array_equal(values, whole[name]) for name, values in columns.items())
+    with pytest.raises(BadInput, match="no scan is stored"):
+        formats.write(Result(StoredRun(partial(answer, kept))), tmp_path / "run.mcap")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
