@@ -4,7 +4,7 @@ import json
 import logging
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
@@ -141,9 +141,12 @@ class Player:
         from cogradar.services.metrics.store import Store
         from cogradar.services.recorder.journal import Journal
 
-        store = Store(Journal(str(self._file), read_only=True)) if self._is_closed and self._file else self._store
-        save = None if self._file is not None else store.journal.copy_to
-        return Result(StoredRun(partial(answer, store), self.run), save)
+        if self._file is None or not self._is_closed:
+            save = None if self._file is not None else self._store.journal.copy_to
+            return Result(StoredRun(partial(answer, self._store), self.run), save)
+        with ExitStack() as opened:
+            store = opened.enter_context(closing(Store(Journal(str(self._file), read_only=True))))
+            return Result(StoredRun(partial(answer, store), self.run), close=opened.pop_all().close)
 
 
 class Playing(TypedDict, total=False):

@@ -7,6 +7,7 @@ docs/howto/front-end.md.
 
 import re
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -72,15 +73,17 @@ def _recorded(name: str) -> OpenFrontEnd:
     file, run = _recording(name)
 
     def open_recording(checkpoint: EmulatorCheckpoint) -> FrontEnd:
-        try:
-            journal = Journal(file, read_only=True)
-            start = journal.start(run)
-        except (BadInput, StoreFailed, Unreadable) as error:
-            raise FrontEndError(f"{file}: {error}") from None
-        if start is None:
-            raise FrontEndError(f"{file}: no run {run}")
-        check_fits(RadarConfig.model_validate(start.scenario["radar"]), RadarConfig.model_validate(checkpoint.radar))
-        return RecordedFrontEnd(lambda k: journal.message(run, k, "scan", 0), journal.close)
+        with ExitStack() as opened:
+            try:
+                journal = opened.enter_context(closing(Journal(file, read_only=True)))
+                start = journal.start(run)
+            except (BadInput, StoreFailed, Unreadable) as error:
+                raise FrontEndError(f"{file}: {error}") from None
+            if start is None:
+                raise FrontEndError(f"{file}: no run {run}")
+            radars = (RadarConfig.model_validate(radar) for radar in (start.scenario["radar"], checkpoint.radar))
+            check_fits(*radars)
+            return RecordedFrontEnd(lambda k: journal.message(run, k, "scan", 0), opened.pop_all().close)
 
     return open_recording
 
@@ -89,14 +92,13 @@ def _recording(name: str) -> tuple[str, str]:
     """File and run of a recording; the newest complete run if none is named."""
     file, _, run = name.removeprefix(_RECORDED).partition("#")
     try:
-        journal = Journal(file, read_only=True)
-        rows = journal.read(
-            "SELECT run.run, COUNT(message.k) AS n, MAX(message.k) AS last FROM run LEFT JOIN message"
-            " ON message.run = run.run AND topic = 'scan' WHERE run.run = ? OR (? = '' AND status = 'complete')"
-            " GROUP BY run.run ORDER BY run.rowid DESC LIMIT 1",
-            [run, run],
-        )
-        journal.close()
+        with closing(Journal(file, read_only=True)) as journal:
+            rows = journal.read(
+                "SELECT run.run, COUNT(message.k) AS n, MAX(message.k) AS last FROM run LEFT JOIN message"
+                " ON message.run = run.run AND topic = 'scan' WHERE run.run = ? OR (? = '' AND status = 'complete')"
+                " GROUP BY run.run ORDER BY run.rowid DESC LIMIT 1",
+                [run, run],
+            )
     except StoreFailed as error:
         raise BadInput(str(error)) from None
     if not rows:

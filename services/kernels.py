@@ -21,7 +21,7 @@ from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
-_locks: list[int] = []  # descriptors: open, and so locked, until this process ends
+_locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends
 
 
 def are_compiled() -> bool:
@@ -102,10 +102,12 @@ def _last_used(folder: Path) -> float:
 
 def _lock() -> None:
     """Show, until this process ends, that its kernels are in use."""
+    if CACHE_DIR in _locks:
+        return
     file = os.open(CACHE_DIR / "in-use", os.O_WRONLY | os.O_CREAT)
     with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
         fcntl.flock(file, fcntl.LOCK_SH)
-    _locks.append(file)
+    _locks[CACHE_DIR] = file
 
 
 def _is_in_use(folder: Path) -> bool:

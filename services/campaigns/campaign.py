@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -88,11 +89,13 @@ def parse_strategies(text: str) -> tuple[Strategy, ...]:
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
     """Store of a campaign: a new one, or one to go on with. Raises BadInput, StoreFailed."""
-    journal = Journal(path, owner="cogradar campaign")
-    if (fault := _fault(journal, campaign, resume=resume)) is not None:
-        journal.close()
-        raise BadInput(f"{path}: holds {fault}")
-    return Store(journal)
+    with ExitStack() as opened:
+        journal = opened.enter_context(closing(Journal(path, owner="cogradar campaign")))
+        if (fault := _fault(journal, campaign, resume=resume)) is not None:
+            raise BadInput(f"{path}: holds {fault}")
+        store = Store(journal)
+        opened.pop_all()
+    return store
 
 
 def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:

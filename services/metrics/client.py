@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 
 from cogradar.services.certs import own
@@ -51,6 +51,8 @@ def source(store: str | None, endpoint: str) -> Iterator[Callable[[str, dict[str
 
 def open_store(file: str) -> Store:
     """A store file with all its scores, to be read only. Raises BadInput if there is none."""
-    store = Store(Journal(file, read_only=True))
-    store.derive()
+    with ExitStack() as opened:
+        store = opened.enter_context(closing(Store(Journal(file, read_only=True))))
+        store.derive()
+        opened.pop_all()
     return store

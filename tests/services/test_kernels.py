@@ -176,5 +176,5 @@ def test_a_process_marks_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: p
     assert not kernels._is_in_use(mine)
     kernels.compile_all(lambda _: None)
     assert kernels._is_in_use(mine)
-    os.close(kernels._locks.pop())
+    os.close(kernels._locks.pop(mine))
     assert not kernels._is_in_use(mine)

@@ -8,17 +8,13 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
-from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import formats
-from cogradar.services.analysis.stored_run import StoredRun
-from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
@@ -28,6 +24,7 @@ from cogradar.shared.protocol.messages import Checkpoint, Message
 from cogradar.shared.wire.codec import decode, encode
 from tests.services.loop import play as play_cores
 from tests.services.loop import smoke_start
+from tests.services.stored import result as result_of
 
 KILLS = int(os.environ.get("COGRADAR_KILLS", "200"))
 FEW = 6
@@ -121,7 +118,7 @@ def test_of_a_recorder_nothing_is_lost_that_was_acknowledged(kills: int, tmp_pat
 
 
 def _export(told: Connection, path: str, out: str, form: str) -> None:
-    result = Result(StoredRun(partial(answer, Store(Journal(path, read_only=True)))))
+    result = result_of(path)
     told.send(0)
     formats.write(result, Path(out), form, force=True)
 
@@ -151,11 +148,7 @@ def test_of_an_export_the_file_is_whole_or_the_one_before(kills: int, tmp_path: 
         told.close()
         now = out.read_bytes() if out.exists() else None
         assert now in {before, wholes[form]}
-        formats.write(_result(path), out, form, force=True)
+        formats.write(result_of(path), out, form, force=True)
         assert out.read_bytes() == wholes[form]
         found.add(now or b"")
     assert len(found) > 1
-
-
-def _result(path: str) -> Result:
-    return Result(StoredRun(partial(answer, Store(Journal(path, read_only=True)))))

@@ -1,5 +1,6 @@
 """One run as NumPy arrays. Lengths are in km, velocities in km/s; targets count from 1 where they are asked for."""
 
+import weakref
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -39,9 +40,18 @@ class Result:
     the truth where the scenario has no [world]; scans and waveforms in a campaign's store, which has few of them.
     """
 
-    def __init__(self, stored: "StoredRun", save: Callable[[str], None] | None = None) -> None:
-        """save : writes the store of a run that is in no file into one."""
+    def __init__(
+        self,
+        stored: "StoredRun",
+        save: Callable[[str], None] | None = None,
+        close: Callable[[], None] | None = None,
+    ) -> None:
+        """save  : writes the store of a run that is in no file into one
+        close : closes a store that nothing else reads; called with the last reference to the result
+        """
         self._stored, self._save = stored, save
+        if close is not None:
+            weakref.finalize(self, close)
         row = stored.row
         self.run: str = stored.name
         self.scenario = stored.scenario

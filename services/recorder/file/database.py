@@ -2,6 +2,7 @@
 
 import sqlite3
 import time
+import weakref
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +41,8 @@ class Database:
     def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
         """A writer takes the file's lock in the name of `owner`, and makes a new or empty file a journal.
 
+        What is in memory is closed with the last reference to it, a file by `close` only.
+
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.path, self._owner = path, owner
@@ -47,6 +50,9 @@ class Database:
         self.epoch = 0  # of the recorder that leads the runs of this file; 0: whoever has it open leads none
         self._place = Place()
         self._db = connect(path, read_only=read_only)
+        self._is_closed = False
+        if path == MEMORY:
+            weakref.finalize(self, self._db.close)
         self._limit = Limit(self._db, path)
         self._lock: JournalLock | None = None
         try:
@@ -62,10 +68,13 @@ class Database:
         self._place = {} if read_only else place_of(path)
 
     def close(self) -> None:
-        """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
+        """Commit and close: the write-ahead log goes into the file, which is then whole by itself. Once is enough."""
+        if self._is_closed:
+            return
         try:
             self.commit()
         finally:
+            self._is_closed = True
             if self._lock is not None and not displaced(self.path, self._place):  # whose files they are is unknown
                 settle(self._db)
             self._db.close()

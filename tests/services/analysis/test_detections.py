@@ -1,5 +1,6 @@
 """Every detection of a run in a table: what the scans say, and which target is in each cell."""
 
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.tracking.association import echoes
 from cogradar.shared.wire.codec import decode
+from tests.services.stored import result as result_of
+from tests.services.stored import rows
 
 DWELLS, WIDTH = 14, 0.5
 SETTINGS = {
@@ -47,17 +50,13 @@ def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return path
 
 
-def _result(file: str) -> Result:
-    return Result(StoredRun(partial(answer, Store(Journal(file, read_only=True)))))
-
-
 def _messages(file: str, topic: str) -> dict[int, Any]:
-    rows = Journal(file, read_only=True).read("SELECT k, payload FROM message WHERE topic = ? ORDER BY k", [topic])
-    return {row["k"]: decode(row["payload"]) for row in rows}
+    found = rows(file, "SELECT k, payload FROM message WHERE topic = ? ORDER BY k", [topic])
+    return {row["k"]: decode(row["payload"]) for row in found}
 
 
 def test_there_is_a_row_for_each_cell_over_its_limit(file: str, tmp_path: Path) -> None:
-    result, path = _result(file), tmp_path / "detections.csv"
+    result, path = result_of(file), tmp_path / "detections.csv"
     done = CliRunner().invoke(app, ["export", "--store", file, "--what", "detections", "--out", str(path)])
     assert done.exit_code == 0, done.output
     found, radar = pd.read_csv(path), result.scenario.radar
@@ -92,7 +91,7 @@ def test_there_is_a_row_for_each_cell_over_its_limit(file: str, tmp_path: Path) 
 
 
 def test_the_strongest_rows_are_what_a_tracker_takes(file: str) -> None:
-    result = _result(file)
+    result = result_of(file)
     found, rows = result.detections(), ScanRows.of(result.scenario.radar)
     for k, scan in _messages(file, "scan").items():
         seen = rows.read(vars(scan))
@@ -102,7 +101,7 @@ def test_the_strongest_rows_are_what_a_tracker_takes(file: str) -> None:
 
 @pytest.mark.parametrize("form", ["npz", "parquet", "mat", "nc", "json"])
 def test_every_format_has_the_same_rows(form: str, file: str, tmp_path: Path) -> None:
-    result, path = _result(file), tmp_path / f"detections.{form}"
+    result, path = result_of(file), tmp_path / f"detections.{form}"
     expected = TABLES["detections"](result)
     assert formats.write(result, path, None, "detections") == f"{result.detections().size} rows of detections"
     assert len({values.size for values in expected.values()}) == 1
@@ -115,7 +114,8 @@ def test_what_cannot_be_written_is_bad_input(file: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export", "--store", file, "--what", "plots", "--out", str(tmp_path / "x.csv")])
     assert done.exit_code == 2
     assert "--what plots: must be one of tracks, detections, looks" in done.stderr
-    kept, recording = in_memory(), take(Store(Journal(file, read_only=True)), _result(file).run)
+    with closing(Store(Journal(file, read_only=True))) as store:
+        kept, recording = in_memory(), take(store, result_of(file).run)
     assert recording is not None
     kept.journal.add_recording(recording, 1)
     with pytest.raises(BadInput, match="is stored, as in the store of a campaign"):

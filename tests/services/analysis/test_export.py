@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,8 @@ from cogradar.services.skies.place import Place
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
+from tests.services.stored import answered
+from tests.services.stored import result as result_of
 
 DWELLS, TARGETS = 12, 2
 Columns = dict[str, list[Any]]
@@ -47,10 +50,6 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
     in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 2**63 - 1, DWELLS), store=store)
     store.close()
     return path
-
-
-def _result(file: str) -> Result:
-    return Result(StoredRun(partial(answer, Store(Journal(file, read_only=True)))))
 
 
 def _exported(file: str, out: Path, *options: str) -> str:
@@ -99,7 +98,7 @@ READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": 
 
 @pytest.mark.parametrize("form", READERS)
 def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: Path) -> None:
-    result, path = _result(file), tmp_path / f"run.{form}"
+    result, path = result_of(file), tmp_path / f"run.{form}"
     assert result.run in _exported(file, path)
     expected = {name: values.tolist() for name, values in table(result).items()}
     found = READERS[form](path)
@@ -114,7 +113,7 @@ def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: 
 
 
 def test_rows_say_what_the_arrays_say(file: str) -> None:
-    result = _result(file)
+    result = result_of(file)
     columns = table(result)
     assert not [name for name in columns if "latitude" in name or "utc" in name]  # without a site
     assert columns["t"].tolist() == [t for t in range(1, DWELLS + 1) for _ in range(TARGETS)]
@@ -132,11 +131,11 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert np.array_equal(amplitude, result.alpha_hat[5, cell], equal_nan=True)
     assert np.array_equal(columns["statistic"][at], result.statistics[5, cell], equal_nan=True)
     assert columns["detected"].sum() == result.detected.sum()
-    rows = answer(Store(Journal(file, read_only=True)), "tracks", {"run": result.run})
+    rows = answered(file, "tracks", run=result.run)
     assert columns["hit"].tolist() == [row["hit"] for row in rows]
     assert columns["in_bin"].tolist() == [int(row["best_bin"] == row["true_bin"]) for row in rows]
     assert columns["outage"].tolist() == [row["outage"] for row in rows]
-    (picture,) = answer(Store(Journal(file, read_only=True)), "picture", {"run": result.run})
+    (picture,) = answered(file, "picture", run=result.run)
     for name in OF_ALL:
         of_dwells = columns[name][::TARGETS]
         assert np.array_equal(columns[name], np.repeat(of_dwells, TARGETS))
@@ -156,7 +155,7 @@ def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    found = table(_result(path))["utc_s"]
+    found = table(result_of(path))["utc_s"]
     assert np.array_equal(found, [1e9 + 1, 1e9 + 1, np.nan, np.nan, 1e9 + 3, 1e9 + 3], equal_nan=True)
 
 
@@ -171,7 +170,7 @@ def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> Non
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    columns = table(_result(path))
+    columns = table(result_of(path))
     assert columns["utc_s"].tolist() == [1767225600.0 + t for t in (1, 1, 2, 2, 3, 3)]
     place = Place(48.0, 11.0, 90.0)
     for suffix in ("", "_hat"):
@@ -180,12 +179,13 @@ def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> Non
 
 
 def test_of_a_campaigns_run_there_is_what_its_store_has(file: str, tmp_path: Path) -> None:
-    recording = take(Store(Journal(file, read_only=True)), _result(file).run)
+    with closing(Store(Journal(file, read_only=True))) as store:
+        recording = take(store, result_of(file).run)
     assert recording is not None
     kept = in_memory()
     kept.journal.add_recording(recording, 1)
     columns = table(Result(StoredRun(partial(answer, kept))))
-    whole = table(_result(file))
+    whole = table(result_of(file))
     assert set(whole) - set(columns) == {"statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"}
     assert all(np.array_equal(values, whole[name]) for name, values in columns.items())
     with pytest.raises(BadInput, match="no scan is stored"):
@@ -194,7 +194,7 @@ def test_of_a_campaigns_run_there_is_what_its_store_has(file: str, tmp_path: Pat
 
 
 def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
-    blind, name = in_memory(), _result(file).run
+    blind, name = in_memory(), result_of(file).run
     scenario = load("smoke").model_copy(update={"world": None})
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
@@ -238,7 +238,7 @@ def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
     with monkeypatch.context() as patched:
         patched.setitem(FORMATS, "csv", Format(("tracks",), full_disk))
         with pytest.raises(BadInput, match=r"run\.csv: No space left on device"):
-            formats.write(_result(file), path, None, force=True)
+            formats.write(result_of(file), path, None, force=True)
     assert path.read_text() == "mine"
     _exported(file, path, "--force")
     assert path.read_text().startswith("run,scenario,")
@@ -303,7 +303,7 @@ def test_without_its_library_a_format_says_what_to_install(
 
 @pytest.mark.parametrize("what", TABLES)
 def test_every_table_can_be_written(what: str, file: str, tmp_path: Path) -> None:
-    result, path = _result(file), tmp_path / "run.nc"
+    result, path = result_of(file), tmp_path / "run.nc"
     expected = TABLES[what](result)
     assert f"{len(expected['run'])} rows of {what}" in _exported(file, path, "--what", what)
     with xr.open_dataset(path) as loaded:
@@ -320,5 +320,5 @@ if shutil.which("octave-cli"):
         script = f"load('{path}'); printf('%.17g\\n', x_hat(end)); printf('%s\\n', run(1, :));"
         done = subprocess.run(["octave-cli", "--eval", script], capture_output=True, text=True, check=True)
         number, name = done.stdout.split()
-        result = _result(file)
+        result = result_of(file)
         assert (float(number), name) == (result.estimates[-1, -1, 0], result.run)

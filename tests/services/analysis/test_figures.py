@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -44,8 +46,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def store(file: Path) -> Store:
-    return open_store(str(file))
+def store(file: Path) -> Iterator[Store]:
+    with closing(open_store(str(file))) as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import threading
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -152,12 +153,12 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
     with pytest.raises(StoreFailed, match=r"c\.db: database or disk is full"):
         _play(store)
     store.close()
-    again = open_store(path, SMALL, resume=True)
-    counts = again.read("SELECT run, COUNT(t) AS n FROM run LEFT JOIN score USING (run) GROUP BY run")
-    assert len(counts) < 6
-    assert {row["n"] for row in counts} <= {2 * 4}
-    _play(again)
-    assert results_digest(again) == reference
+    with closing(open_store(path, SMALL, resume=True)) as again:
+        counts = again.read("SELECT run, COUNT(t) AS n FROM run LEFT JOIN score USING (run) GROUP BY run")
+        assert len(counts) < 6
+        assert {row["n"] for row in counts} <= {2 * 4}
+        _play(again)
+        assert results_digest(again) == reference
 
 
 def test_a_run_that_fails_is_a_result() -> None:

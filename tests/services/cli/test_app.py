@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services.recorder.journal import Journal
 from cogradar.shared.wire.session import free_port
 from tests.services.cli.here import here
+from tests.services.stored import rows
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 
@@ -239,7 +239,7 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     assert run.stdout is not None
     next(line for line in run.stdout if "--connect" in line)
     deadline = time.monotonic() + 20.0
-    while not Journal(file, read_only=True).unfinished() and time.monotonic() < deadline:
+    while not rows(file, "SELECT run FROM run WHERE status = 'running'") and time.monotonic() < deadline:
         time.sleep(0.05)
     run.send_signal(number)
     run.communicate(timeout=15)

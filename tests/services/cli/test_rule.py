@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cogradar.services.cli.app import app
-from cogradar.services.recorder.journal import Journal
 from cogradar.shared.scenario.tables import RULES
+from tests.services.stored import rows
 
 RUN = ["run", "smoke", "--in-process", "--json", "--dwells", "3"]
 
@@ -27,7 +27,7 @@ def test_a_campaign_plays_it(tmp_path: Path) -> None:
     small = ["--runs", "1", "--dwells", "2", "--strategies", "uniform", "--workers", "1"]
     done = CliRunner().invoke(app, ["campaign", "smoke", "--store", store, "--rule", "oracle", *small])
     assert done.exit_code == 0, done.output
-    (row,) = Journal(store, read_only=True).read("SELECT document FROM run")
+    (row,) = rows(store, "SELECT document FROM run")
     document = json.loads(row["document"])
     assert document["radar"]["planner"]["rule"] == "oracle"
     assert document["title"].endswith("(knows the truth)")

@@ -2,6 +2,8 @@
 
 import os
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,9 @@ from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.protocol.messages import Checkpoint, Message
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from tests.services.loop import checkpoint, scans, smoke_start, waveforms
+from tests.services.stored import rows
+
+Begin = Callable[..., Recorder]
 
 
 @pytest.fixture
@@ -26,8 +31,16 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return str(tmp_path / "runs.db")
 
 
-def _recorder(path: str, name: str = "recorder-0") -> Recorder:
-    return Recorder(Journal(path, owner=name), resume=True)
+@pytest.fixture
+def recorder(path: str) -> Iterator[Begin]:
+    """Opens a file for a recorder, until the test is over."""
+    with ExitStack() as opened:
+
+        def begin(file: str = path, name: str = "recorder-0") -> Recorder:
+            journal = opened.enter_context(closing(Journal(file, owner=name)))
+            return Recorder(journal, resume=True)
+
+        yield begin
 
 
 def _epochs(answers: object) -> set[int]:
@@ -43,10 +56,10 @@ def _content(path: str) -> list[tuple[object, ...]]:
     return rows
 
 
-def test_a_deposed_recorder_commits_not_a_byte(path: str, sent: list[Message]) -> None:
-    first = _recorder(path)
+def test_a_deposed_recorder_commits_not_a_byte(path: str, sent: list[Message], recorder: Begin) -> None:
+    first = recorder()
     first.handle(smoke_start(dwells=20))
-    second = _recorder(path, "recorder-1")
+    second = recorder(name="recorder-1")
     before = _content(path)
     with pytest.raises(Deposed, match=r"^recorder-1 has .*runs\.db with epoch \d+, this recorder has epoch \d"):
         first.handle(scans(sent)[0])
@@ -56,24 +69,26 @@ def test_a_deposed_recorder_commits_not_a_byte(path: str, sent: list[Message]) -
     second.close()
 
 
-def test_it_ends_within_a_second_without_a_message(path: str) -> None:
-    first = _recorder(path)
+def test_it_ends_within_a_second_without_a_message(recorder: Begin) -> None:
+    first = recorder()
     for i in range(2 * LOOK_TICKS):
         first.handle(Tick(0.25 * i))
-    _recorder(path)
+    recorder()
     for i in range(1, LOOK_TICKS):
         first.handle(Tick(10.0 + 0.25 * i))
     with pytest.raises(Deposed):
         first.handle(Tick(11.0))
 
 
-def test_it_ends_when_it_hears_of_one_that_leads_another_copy_of_the_file(path: str, sent: list[Message]) -> None:
+def test_it_ends_when_it_hears_of_one_that_leads_another_copy_of_the_file(
+    path: str, sent: list[Message], recorder: Begin
+) -> None:
     """What it had not committed is undone."""
-    first, start = _recorder(path), smoke_start(dwells=20)
+    first, start = recorder(), smoke_start(dwells=20)
     old = _epochs(first.handle(start))
     shutil.copyfile(path, f"{path}.copy")
     shutil.copyfile(f"{path}-wal", f"{path}.copy-wal")
-    second = _recorder(f"{path}.copy")
+    second = recorder(f"{path}.copy")
     (new,) = _epochs(second.handle(smoke_start(dwells=20, run="other")))
     assert new > max(old)
     assert first.handle(checkpoint(start, epoch=min(old))) == ()  # its own
@@ -85,8 +100,8 @@ def test_it_ends_when_it_hears_of_one_that_leads_another_copy_of_the_file(path: 
     assert not [row for row in _content(path) if "scan" in row]
 
 
-def test_one_that_waits_for_its_disk_ends_too(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = _recorder(path)
+def test_one_that_waits_for_its_disk_ends_too(monkeypatch: pytest.MonkeyPatch, recorder: Begin) -> None:
+    first = recorder()
     first.handle(smoke_start())
     monkeypatch.setattr("cogradar.services.recorder.file.database.displaced", lambda *_: "it was removed")
     said = [first.handle(Tick(0.25 * i)) for i in range(LOOK_TICKS)]
@@ -105,19 +120,21 @@ def test_all_that_a_recorder_says_has_its_epoch(sent: list[Message]) -> None:
     assert recorder._journal.epoch > 0
 
 
-def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(
+    path: str, monkeypatch: pytest.MonkeyPatch, recorder: Begin
+) -> None:
     """Also on an older copy, which does not know of the last ones, if the clock is right."""
     found = []
     for now_us in (1000, 5000, 10, 10):
         monkeypatch.setattr(Database, "_now_us", lambda _, now_us=now_us: now_us)
         if now_us == 5000:
             shutil.copyfile(path, f"{path}.old")
-        recorder = _recorder(path)
-        recorder.close()
-        found.append(recorder._journal.epoch)
+        opened = recorder()
+        opened.close()
+        found.append(opened._journal.epoch)
     assert found == [1000, 5000, 5001, 5002]
     monkeypatch.setattr(Database, "_now_us", lambda _: 9000)
-    assert _recorder(f"{path}.old")._journal.epoch == 9000
+    assert recorder(f"{path}.old")._journal.epoch == 9000
 
 
 def test_of_many_recorders_the_last_ones_are_kept(path: str) -> None:
@@ -127,12 +144,12 @@ def test_of_many_recorders_the_last_ones_are_kept(path: str) -> None:
         journal.lead()
         epochs.append(journal.epoch)
         journal.close()
-    assert [row[0] for row in Journal(path).rows("SELECT epoch FROM leader")] == epochs[5:] == sorted(epochs[5:])
+    assert [row["epoch"] for row in rows(path, "SELECT epoch FROM leader")] == epochs[5:] == sorted(epochs[5:])
 
 
-def test_an_epoch_that_nobody_can_follow_is_refused(path: str) -> None:
+def test_an_epoch_that_nobody_can_follow_is_refused(path: str, recorder: Begin) -> None:
     journal = Journal(path)
     journal.write("INSERT INTO leader VALUES (?, 'x')", MAX_EPOCH)
     journal.close()
     with pytest.raises(BadInput, match=r"runs\.db: leader\.epoch = \d+: must be below \d+"):
-        _recorder(path)
+        recorder()

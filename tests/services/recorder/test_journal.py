@@ -16,6 +16,7 @@ from cogradar.services.recorder.journal import Journal, Retention
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
+from tests.services.stored import rows
 
 
 def _foreign(path: Path, *statements: str) -> bytes:
@@ -76,7 +77,7 @@ def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
         store = Journal(path)
         store.add_run(smoke_start())
         store.close()
-    assert Journal(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
+    assert rows(path, "PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
 
 
 def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
@@ -85,7 +86,7 @@ def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None
     with pytest.raises(BadInput, match=r"empty\.db: an empty file"):
         Journal(str(path), read_only=True)
     Journal(str(path)).close()
-    assert Journal(str(path), read_only=True).read("SELECT * FROM run") == []
+    assert rows(path, "SELECT * FROM run") == []
 
 
 @pytest.mark.parametrize("read_only", [True, False])

@@ -1,5 +1,7 @@
 """A run without an end: its oldest dwells are cut behind it, and none that somebody may still need."""
 
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.signal.array import LOOKS_ROW
 from tests.samples import sample
 from tests.services.births import HERE, THERE, plan, roster, scan, start_of, truth, waveform
+from tests.services.stored import answered
 
 ALWAYS, SPAN = 32, 40  # dwells
 DT_S = start_of(1).scenario["radar"]["motion"]["dt_s"]
@@ -119,8 +122,14 @@ def test_a_run_with_an_end_is_kept_whole() -> None:
     assert _ks(journal)[0] == 0
 
 
-def test_scores_are_of_the_dwells_that_are_kept_and_answers_say_so(tmp_path: Path) -> None:
-    store, whole = Store(Journal(str(tmp_path / "s.db"))), in_memory()
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with closing(Store(Journal(str(tmp_path / "s.db")))) as opened:
+        yield opened
+
+
+def test_scores_are_of_the_dwells_that_are_kept_and_answers_say_so(store: Store) -> None:
+    whole = in_memory()
     _, core = _begun(NO_END, HOURS, store)
     _, others = _begun(NO_END, Retention(), whole)
     for first in range(0, 600, 50):
@@ -140,5 +149,5 @@ def test_scores_are_of_the_dwells_that_are_kept_and_answers_say_so(tmp_path: Pat
     with pytest.raises(BadInput, match="the ones before were cut"):
         answer(store, "tracks", {"dwells": "1:20"})
     store.journal.commit()
-    anew = Store(Journal(str(tmp_path / "s.db"), read_only=True))  # metrics that comes back
-    assert answer(anew, "tracks", {})[0]["t"] == run["oldest_t"]
+    anew = answered(store.journal.path, "tracks")  # by metrics that comes back
+    assert anew[0]["t"] == run["oldest_t"]

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.kernels import compile_all
-from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
@@ -20,6 +19,7 @@ from studies import realtime as bench_realtime
 from studies.many_targets import many_targets
 from studies.realtime import Cell, Probe, highest_rate
 from tests.services.loop import smoke_start
+from tests.services.stored import rows
 from tests.services.tables import assert_shown_whole
 
 # Slow enough for a machine that starts a process meanwhile: a radar without the processor for a dwell skips it.
@@ -66,7 +66,8 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     assert time.monotonic() - began > DWELLS / RATE_HZ
     assert {name for name in victims if any(line.startswith(f"{name} ended") for line in sent)} == set(victims)
     assert (result.run["status"], result.run["t"]) == ("complete", DWELLS)
-    truths = [decode(payload) for payload in Journal(str(store), read_only=True).messages(start.run, ("truth",))]
+    found = rows(store, "SELECT payload FROM message WHERE topic = 'truth' ORDER BY k")
+    truths = [decode(row["payload"]) for row in found]
     ks = [truth.k for truth in truths if isinstance(truth, Truth)]
     assert ks == list(range(len(ks)))
     assert [truth.t for truth in truths if isinstance(truth, Truth) and truth.t] == list(range(1, DWELLS + 1))

@@ -24,6 +24,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from tests.scenarios import varied
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
+from tests.services.stored import rows
 
 
 def _start(seed: int = 1, strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 6) -> RunStart:
@@ -125,8 +126,7 @@ def test_a_run_that_fails_in_one_process_is_not_left_running(monkeypatch: pytest
 def test_a_store_keeps_the_run_for_later_questions(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
     result = _over_zenoh(_start(), store=path)
-    store = Journal(path, read_only=True)
-    (row,) = store.read("SELECT digest, status FROM run")
+    (row,) = rows(path, "SELECT digest, status FROM run")
     assert (row["digest"], row["status"]) == (result.run["digest"], "complete")
 
 
@@ -185,7 +185,7 @@ def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
         result = _over_zenoh(_start(dwells=DISTURBED), 2, notify=sent.append, store=store)
     assert result.run["digest"] == undisturbed
     assert [line for line in sent if f"{victim}" in line and "signal 9" in line and "starting it again" in line]
-    counts = Journal(store, read_only=True).read("SELECT topic, COUNT(DISTINCT k) AS n FROM message GROUP BY topic")
+    counts = rows(store, "SELECT topic, COUNT(DISTINCT k) AS n FROM message GROUP BY topic")
     assert {row["n"] for row in counts} == {result.run["acquisition_scans"] + DISTURBED}
     assert process_names() == []
 
@@ -244,10 +244,10 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
 def _snapshots_from(path: str, k: int) -> list[int]:
     """Dwells of the snapshots in a store, of this dwell and later ones; none if there is no store yet."""
     try:
-        rows = Journal(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
+        found = rows(path, "SELECT k FROM snapshot WHERE k >= ?", [k])
     except Failure:
         return []
-    return [row["k"] for row in rows]
+    return [row["k"] for row in found]
 
 
 @pytest.mark.zenoh

@@ -1,0 +1,31 @@
+"""What the file of a store holds, read and closed again."""
+
+from collections.abc import Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+
+
+def rows(path: str | Path, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+    """Rows of a SELECT."""
+    with closing(Journal(str(path), read_only=True)) as journal:
+        return journal.read(query, parameters)
+
+
+def answered(path: str | Path, metric: str, **parameters: str) -> list[dict[str, Any]]:
+    """Rows of a metric."""
+    with closing(Store(Journal(str(path), read_only=True))) as store:
+        return answer(store, metric, parameters)
+
+
+def result(path: str | Path) -> Result:
+    """The newest run, with whose last reference the file is closed."""
+    store = Store(Journal(str(path), read_only=True))
+    return Result(StoredRun(partial(answer, store)), close=store.close)
