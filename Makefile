@@ -198,8 +198,8 @@ sbom: build/image.txt ## what is in the image, as CycloneDX, into build/sbom.jso
 audit: build/image.txt ## known vulnerabilities of what is in the image; asks a database on the net
 	$(BIN)/pip-audit --vulnerability-service osv --strict --disable-pip --require-hashes --requirement $<
 
-diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
-	$(BIN)/python -m docs.generator.loop_diagram ARCHITECTURE.md
+diagram: setup ## redraw the loop in ARCHITECTURE and docs/reference/wire.md from the table of topics
+	$(BIN)/python -m docs.generator.loop_diagram ARCHITECTURE.md docs/reference/wire.md
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

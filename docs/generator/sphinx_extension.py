@@ -11,7 +11,7 @@ from myst_parser.parsers.sphinx_ import MystParser
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from docs.generator import messages, numbers, programs, scenario
+from docs.generator import messages, numbers, programs, scenario, wire
 
 PARTS: dict[str, Callable[[], str]] = {
     "scenario keys": scenario.keys,
@@ -26,6 +26,9 @@ PARTS: dict[str, Callable[[], str]] = {
     "other keys": messages.keys,
     "messages": messages.messages,
     "parts of messages": messages.parts,
+    "a message in hex": wire.example,
+    "limits of messages": wire.limits,
+    "rights": wire.rights,
     "commands": programs.commands,
     "page keys": programs.page_keys,
     "paths": programs.paths,

@@ -3,15 +3,18 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from cogradar.shared.protocol.topics import TOPICS
 from docs.generator.loop_diagram import diagram, rewritten
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_architecture_has_the_newest_diagram() -> None:
+@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "docs/reference/wire.md"])
+def test_a_page_has_the_newest_diagram(page: str) -> None:
     """Else: make diagram."""
-    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    text = (ROOT / page).read_text(encoding="utf-8")
     assert diagram() in text
     assert rewritten(text) == text
 

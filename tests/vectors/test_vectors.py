@@ -2,16 +2,20 @@
 
 import base64
 import json
+import shutil
+import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cogradar.shared.protocol.topics import BY_NAME, EXCHANGES, KINDS, name_of
 from cogradar.shared.wire.codec import decode, decode_answer, encode
-from tests.vectors import plain
+from tests.vectors import foreign, plain
 from tests.vectors.cases import FILE, SIZES, as_json, lines, stored
 
 VECTORS = stored()
+NODE = Path(__file__).parents[1] / "node"
 EXCHANGED = {name_of(kind): kind for one in EXCHANGES for kind in (one.question, one.answer)}
 
 
@@ -34,3 +38,24 @@ def test_python_with_msgpack_alone_reads_and_writes_them(vector: dict[str, Any])
     payload = base64.b64decode(vector["bytes"])
     assert json.dumps(plain.read(payload)) == json.dumps(vector["json"])
     assert plain.written(vector["json"]) == payload
+
+
+@pytest.mark.skipif(foreign.MISSING != "", reason=foreign.MISSING)
+def test_cpp_reads_them_and_writes_them_back(tmp_path: Path) -> None:
+    reader = foreign.compiled(tmp_path)
+    for vector, line in zip(
+        VECTORS, foreign.read(reader, [base64.b64decode(v["bytes"]) for v in VECTORS]), strict=True
+    ):
+        verdict, _, text = line.partition(" ")
+        assert verdict == "same", vector["name"]
+        assert json.dumps(json.loads(text)) == json.dumps(vector["json"]), vector["name"]
+    changed = base64.b64decode(VECTORS[0]["bytes"]).replace(b"\x02", b"\xcd\x00\x02", 1)  # 2, longer than it need be
+    assert foreign.counted(reader, [changed])[:2] == (1, 1)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+@pytest.mark.skipif(not (NODE / "node_modules" / "@msgpack").is_dir(), reason="@msgpack/msgpack: make node")
+def test_javascript_reads_and_writes_them() -> None:
+    command = ["node", "--harmony-json-parse-with-source", NODE / "messages.mjs", FILE]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == f"{len(VECTORS)}\n"
