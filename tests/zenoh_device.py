@@ -29,6 +29,7 @@ class Answer(NamedTuple):
     payload: bytes
     attachment: bytes | None = None
     is_error: bool = False
+    times: int = 1
 
 
 class Device:
@@ -96,7 +97,8 @@ class Device:
             if answer is not None and answer.is_error:
                 query.reply_err(answer.payload)
             elif answer is not None:
-                query.reply(query.key_expr, answer.payload, attachment=answer.attachment)
+                for _ in range(answer.times):
+                    query.reply(query.key_expr, answer.payload, attachment=answer.attachment)
 
 
 def simulated(checkpoint: EmulatorCheckpoint) -> Callable[[Device, Transmit], Answer]:

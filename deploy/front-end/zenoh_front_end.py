@@ -17,11 +17,11 @@ import threading
 import msgpack
 import numpy as np
 import zenoh
+import zenoh.shm
 
 PROTOCOL, SCHEMA = 8, 2  # of keys, and of messages
 DTYPES = {b"i4": "<i4", b"f8": "<f8", b"c8": "<c8"}
 TARGETS = ((40.0, -0.05, -30.0, 0.02), (50.0, -0.03, 20.0, 0.03))  # x, vx, y, vy; km, km/s
-POOL = 256 << 20  # bytes of memory that is shared with the radar on this machine
 
 
 def pack(topic, body):
@@ -84,8 +84,9 @@ class World:
 class FrontEnd:
     """Answers the questions of a radar, of one run at a time."""
 
-    def __init__(self, session, name, seed):
+    def __init__(self, session, name, seed, shared_mb):
         self._incarnation, self._seed, self._worlds = secrets.token_hex(8), seed, {}
+        self._memory = zenoh.shm.ShmProvider.default_backend(shared_mb << 20) if shared_mb else None
         key = f"cogradar/{PROTOCOL}/front-end/{name}"
         self._declared = [
             session.declare_queryable(f"{key}/opening", self._guarded(self._open), complete=True),
@@ -116,7 +117,15 @@ class FrontEnd:
         if dwell["range_cells"].size:
             received["range_cells"] = dwell["range_cells"]
         y = self._worlds[dwell["run"]].receive(dwell) if dwell["run"] in self._worlds else np.empty(0, np.complex64)
-        query.reply(query.key_expr, y.astype("<c8").tobytes(), attachment=pack("received", received))
+        query.reply(query.key_expr, self._payload(y.astype("<c8").tobytes()), attachment=pack("received", received))
+
+    def _payload(self, y):
+        """In memory that a radar on this machine maps, if that was asked for; a receiver would write there itself."""
+        if self._memory is None or not y:
+            return y
+        buffer = self._memory.alloc(len(y), zenoh.shm.BlockOn(zenoh.shm.GarbageCollect()))
+        buffer[:] = y
+        return zenoh.ZBytes(buffer)
 
 
 def main():
@@ -126,6 +135,7 @@ def main():
     parser.add_argument("--listen", help="where the radar connects to, such as tcp/127.0.0.1:7448")
     parser.add_argument("--connect", help="the radar's router, such as tcp/127.0.0.1:7447")
     parser.add_argument("--zenoh-config", help="file of Zenoh's settings, with a certificate")
+    parser.add_argument("--shared-memory", type=int, default=0, metavar="MB", help="four times a Y, on one machine")
     parser.add_argument("--seed", type=int, default=1, help="of the noise")
     given = parser.parse_args()
     logging.basicConfig(level=logging.INFO)
@@ -135,15 +145,14 @@ def main():
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": 2000,
-        "transport/shared_memory/enabled": True,
-        "transport/shared_memory/transport_optimization/pool_size": POOL,
+        "transport/shared_memory/enabled": given.shared_memory > 0,
     }
     settings |= {"listen/endpoints": [given.listen]} if given.listen else {}
     settings |= {"connect/endpoints": [given.connect], "connect/timeout_ms": 30_000} if given.connect else {}
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config) as session:
-        front_end = FrontEnd(session, given.name, given.seed)
+        front_end = FrontEnd(session, given.name, given.seed, given.shared_memory)
         logging.info("front end %s is there", given.name)
         threading.Event().wait()
         del front_end

@@ -98,6 +98,24 @@ def feed(
         print_tables(out, [cost.table(costs)])
 
 
+@bench.command()
+def front_end(as_json: JsonOption = False) -> None:
+    """Time a dwell at the built-in front end, at one in Python and at a process that is asked over Zenoh."""
+    from cogradar.services.bench import front_ends
+    from cogradar.services.kernels import compile_all
+
+    console = err if as_json else out
+    with command() as stop:
+        compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+        with progress(console) as tell:
+            stop.at_once = True
+            costs = front_ends.measure(tell)
+    if as_json:
+        print_json([front_ends.row(one) for one in costs])
+    else:
+        print_tables(out, [front_ends.table(costs)])
+
+
 def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
     from cogradar.services.bench import figures
     from cogradar.services.bench import kernels as benchmark

@@ -27,7 +27,7 @@ from cogradar.shared.wire.front_ends.line import Line, Reply
 
 PATIENCE_S = 10.0  # in lockstep, which has no deadlines: for any answer, and for a front end that is started again
 FIRST_S, AGAIN_S = 3.0, 0.5  # in real time: for the Hello when a run begins, and in mid-run
-PART = 0.5  # of a period, in which an answer must come unless the front end says that it takes longer
+PART, LONGEST = 0.5, 0.9  # of a period, in which an answer must come; and if the front end says that it takes longer
 MAX_STRANGERS = 100
 _ROWS = (
     *("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power"),
@@ -81,7 +81,7 @@ class ForeignFrontEnd:
         self._strangers: set[str] = set()
         self._wait_s = PATIENCE_S
         if (period_s := pacing_at(settings.rate_hz).seconds(1)) > 0.0:
-            self._wait_s = min(max(PART * period_s, 1.0 / hello.max_rate_hz), period_s)
+            self._wait_s = min(max(PART * period_s, 1.0 / hello.max_rate_hz), LONGEST * period_s)
 
     @classmethod
     def open(cls, name: str, settings: Settings, radar: dict[str, object], line: Asking, within_s: float) -> Self:

@@ -98,6 +98,16 @@ def open_session(
         time.sleep(RETRY_S)
 
 
+def listen_session(endpoint: str, *, shares_memory: bool) -> zenoh.Session:
+    """A session to which one other connects directly. Raises ConnectionError if it cannot listen."""
+    try:
+        return zenoh.open(
+            _config("peer", listen__endpoints=[endpoint], transport__shared_memory__enabled=shares_memory)
+        )
+    except zenoh.ZError as error:
+        raise ConnectionError(f"cannot listen on {endpoint}: {_reason(error)}") from None
+
+
 def run_router(
     listen: str,
     stop: threading.Event,

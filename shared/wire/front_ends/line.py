@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from queue import Empty
 from typing import Any, Generic, TypeVar
 
@@ -17,6 +18,7 @@ from cogradar.shared.wire.codec import BadMessage, decode_answer, encode
 from cogradar.shared.wire.session import open_session
 
 MAX_DATA = 1 << 28  # bytes of Y: 512 x 512 channels of 128 range cells
+MAX_REPLIES = 100  # that are heard to one question
 ASK_AGAIN_S = 0.01  # where there was no front end
 LONGEST_FAULT = 200
 _TIMEOUT = b"Timeout"  # Zenoh's own answer in place of one that is not there
@@ -63,8 +65,10 @@ class Line:
         while not replied and (left := deadline - time.monotonic()) > 0.0:
             self._get(exchange, payload, left)
             try:
-                while (item := self._arrived.get(max(0.0, deadline - time.monotonic()))) != (self._asked, None):
-                    number, reply = item
+                while (left := deadline - time.monotonic()) > 0.0:
+                    number, reply = self._arrived.get(left)
+                    if (number, reply) == (self._asked, None):
+                        break
                     if reply is not None and not _is_silence(reply):
                         replied = replied or number == self._asked
                         yield reply
@@ -75,9 +79,14 @@ class Line:
 
     def _get(self, exchange: Exchange, payload: bytes, within_s: float) -> None:
         self._asked += 1
-        number = self._asked
+        number, heard = self._asked, count()
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if next(heard) < MAX_REPLIES:
+                self._arrived.put((number, reply))
+
         handler: Any = zenoh.handlers.Callback(
-            lambda reply: self._arrived.put((number, reply)),
+            on_reply,
             drop=lambda: self._arrived.put((number, None)),
             indirect=False,
         )

@@ -124,6 +124,7 @@ Bad = Callable[[Device, Transmit], Answer | None]
 BAD: dict[str, tuple[Bad, str]] = {
     "no bytes": (lambda *_: Answer(b""), "roof: not MessagePack"),
     "other bytes": (lambda *_: Answer(b"\xff" * 1000), "roof: not MessagePack"),
+    "a flood": (lambda *_: Answer(b"\xc1", times=3000), "roof: not MessagePack"),
     "a message of a run": (lambda *_: Answer(encode(smoke_start())), "roof: unknown topic 'runstart'"),
     "deep": (lambda *_: Answer(b"\x91" * 100_000), "roof: "),
     "too long": (lambda *_: Answer(bytes(5 << 20)), "roof: 5242880 bytes, more than 4194304"),
