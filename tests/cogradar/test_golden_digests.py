@@ -1,5 +1,6 @@
 """Shipped scenarios, and settings that meet every branch of the loop, play what they always did, byte for byte."""
 
+import json
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from cogradar.services.bench.golden import FILE
 from tests import golden
 
 SHIPPED, PROCESSES = tuple(golden.SHIPPED), 3  # a process loads all kernels, which takes longer than most runs
@@ -20,10 +22,18 @@ ON_OLDER = ("smoke", "array, echoes told apart", "equal antennas", "bins, joint 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [*(SHIPPED[i::PROCESSES] for i in range(PROCESSES)), tuple(golden.VARIANTS)])
+@pytest.mark.parametrize(
+    "names", [*(SHIPPED[i::PROCESSES] for i in range(PROCESSES)), (*golden.VARIANTS, golden.FIRST_RUN)]
+)
 def test_digests_are_the_golden_ones(names: tuple[str, ...]) -> None:
     """In a process of its own, that loads each kernel once."""
     assert_golden(names, {})
+
+
+def test_the_readme_has_the_digest_of_its_first_run() -> None:
+    text = golden.README.read_text(encoding="utf-8")
+    digest = json.loads(FILE.read_text(encoding="utf-8"))[golden.FIRST_RUN]["1"]
+    assert golden.with_digest(text, digest) == text
 
 
 def test_digests_are_the_same_on_an_older_processor() -> None:
