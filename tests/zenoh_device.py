@@ -40,9 +40,12 @@ class Device:
         answer: Callable[["Device", Transmit], Answer | None],
         router: str = "",
         incarnation: str = "first",
+        name: str = NAME,
+        opens: Callable[[], zenoh.Session] | None = None,
         **hello: Any,
     ) -> None:
-        """`answer` None: it drops the question."""
+        """`answer` None: it drops the question; `opens` gives another session than one without certificates."""
+        self._name, self._opens = name, opens
         self.endpoint, self._is_router = router or f"tcp/127.0.0.1:{free_port()}", bool(router)
         self.incarnation, self._answer, self._declared = incarnation, answer, list[Any]()
         said = {"n_tx": 16, "n_rx": 16, "hands_over": "looks", "max_rate_hz": 100.0, "clock": "none"} | hello
@@ -50,6 +53,17 @@ class Device:
         self.openings, self.asked = list[Opening](), list[Transmit]()
 
     def __enter__(self) -> Self:
+        self._session = self._opened() if self._opens is None else self._opens()
+        for exchange, answer in ((OPENING, self._open), (DWELL, self._transmit)):
+            self._declared.append(self._session.declare_queryable(exchange.key_of(self._name), answer, complete=True))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session.close()
+
+    def _opened(self) -> zenoh.Session:
         config = zenoh.Config()
         side = "connect" if self._is_router else "listen"
         for key, value in {
@@ -59,15 +73,7 @@ class Device:
             "scouting/gossip/enabled": False,
         }.items():
             config.insert_json5(key, json.dumps(value))
-        self._session = zenoh.open(config)
-        for exchange, answer in ((OPENING, self._open), (DWELL, self._transmit)):
-            self._declared.append(self._session.declare_queryable(exchange.key_of(NAME), answer, complete=True))
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._session.close()
+        return zenoh.open(config)
 
     def received(self, asked: Transmit, **rows: Any) -> Received:
         """An answer to a question."""

@@ -3,8 +3,8 @@
     python zenoh_front_end.py roof --listen tcp/127.0.0.1:7448
     cogradar run mine.toml --front-end zenoh:roof@tcp/127.0.0.1:7448
 
-Two aircraft fly straight in white noise. For real hardware replace `World`. The bytes are explained in
-docs/howto/front-end.md.
+Two aircraft fly straight in white noise. For real hardware replace `World`. What is asked is explained in
+docs/howto/front-end.md, the bytes in docs/reference/wire.md.
 """
 
 import argparse

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 
 from cogradar.services.certs import access, names
+from cogradar.services.emulator.foreign import OpensForeign
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import Command, Message, Plan, Scan
@@ -31,8 +32,11 @@ from cogradar.shared.protocol.topics import (
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
 from cogradar.shared.wire.queries import alive
+from cogradar.shared.wire.session import CONFIG_VARIABLE
 from tests.samples import plan, sample
 from tests.services.certs.conftest import Secured, until
+from tests.services.loop import checkpoint, play, scans, smoke_start
+from tests.zenoh_device import Device, simulated
 
 pytestmark = pytest.mark.zenoh
 
@@ -201,6 +205,17 @@ def test_only_the_emulator_asks_front_ends_and_each_answers_for_its_own_name(sec
         found = {(holder, key): answers(holder, key) for holder in HOLDERS for key in keys}
     expected = {(Role.EMULATOR, one.key_of("here")): {"here/frontend"} for one in EXCHANGES}
     assert {asked: said for asked, said in found.items() if said} == expected
+
+
+def test_a_run_with_a_front_end_behind_certificates_is_the_run_in_process(
+    secured: Secured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = smoke_start()
+    without_world = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    monkeypatch.setenv(CONFIG_VARIABLE, secured.file(Role.EMULATOR))
+    with Device(simulated(checkpoint(start)), name="here", opens=lambda: secured.session(FRONT_END)):
+        over_zenoh = play(without_world, OpensForeign("here", [secured.endpoint]))
+    assert [encode(scan) for scan in scans(over_zenoh)] == [encode(scan) for scan in scans(play(start))]
 
 
 def test_what_is_too_long_is_not_passed_on(secured: Secured) -> None:

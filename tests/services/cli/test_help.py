@@ -39,7 +39,7 @@ def _completed(words: str) -> list[str]:
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("cogradar sc", ["scenarios"]),
+        ("cogradar sc", ["scenarios", "schema"]),
         ("cogradar run pa", ["paper", "paper-best", "paper-best-range", "paper-literal"]),
         ("cogradar run smoke --strategy o", ["orthogonal"]),
         ("cogradar campaign smoke --strategies uniform,o", ["uniform,orthogonal"]),
