@@ -15,6 +15,7 @@ Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*[^\W\d_]{0,8}\s*")
 MAX_EXPLAINED = 20  # faults of one document that have a line each; to explain one takes a fifth of a millisecond
 MAX_SHOWN = 60  # characters of a key
+PRINTED_BITS = 13_000  # of an integer: with more than 4300 digits Python refuses to print it, or prints something else
 _NOUN = {
     "array": "a list",
     "boolean": "true or false",
@@ -196,12 +197,14 @@ def _said(value: object) -> str:
 
 
 def _shown(value: object) -> str:
-    short = reprlib.Repr()
+    short = _Short()
     short.maxlevel, short.maxstring, short.maxother, short.maxlong = 2, 60, 60, 60
-    try:
-        return short.repr(value)
-    except ValueError:  # Python prints no integer of thousands of digits
-        return "(too large to show)"
+    return short.repr(value)
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        return super().repr_int(x, level) if x.bit_length() <= PRINTED_BITS else "(too large to show)"
 
 
 def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
