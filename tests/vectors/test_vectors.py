@@ -11,6 +11,7 @@ import pytest
 
 from cogradar.shared.protocol.topics import BY_NAME, EXCHANGES, KINDS, name_of
 from cogradar.shared.wire.codec import decode, decode_answer, encode
+from tests.services.loop import play, smoke_start
 from tests.vectors import foreign, plain
 from tests.vectors.cases import FILE, SIZES, as_json, lines, stored
 
@@ -49,6 +50,8 @@ def test_cpp_reads_them_and_writes_them_back(tmp_path: Path) -> None:
         verdict, _, text = line.partition(" ")
         assert verdict == "same", vector["name"]
         assert json.dumps(json.loads(text)) == json.dumps(vector["json"]), vector["name"]
+    played = [encode(message) for message in play(smoke_start(dwells=8))]
+    assert foreign.counted(reader, played)[:2] == (len(played), 0)
     changed = base64.b64decode(VECTORS[0]["bytes"]).replace(b"\x02", b"\xcd\x00\x02", 1)  # 2, longer than it need be
     assert foreign.counted(reader, [changed])[:2] == (1, 1)
 
@@ -56,6 +59,6 @@ def test_cpp_reads_them_and_writes_them_back(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 @pytest.mark.skipif(not (NODE / "node_modules" / "@msgpack").is_dir(), reason="@msgpack/msgpack: make node")
 def test_javascript_reads_and_writes_them() -> None:
-    command = ["node", "--harmony-json-parse-with-source", NODE / "messages.mjs", FILE]
+    command = ["node", "--harmony-json-parse-with-source", str(NODE / "messages.mjs"), str(FILE)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout == f"{len(VECTORS)}\n"
