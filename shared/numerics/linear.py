@@ -18,6 +18,7 @@ Complexes = NDArray[np.complex128]
 
 _STEPS = 60  # of QL for an eigenvalue, which needs two or three
 _EPS = 2.0**-52
+_VANISHED = 1e-140  # of the largest element: squares of what is left of a row would
 _NOTHING = 1e-14  # share of the largest eigenvalue of a^T a below which one is nothing but rounding
 
 
@@ -174,7 +175,7 @@ def _tridiagonal(a: Floats) -> tuple[Floats, Floats, Floats]:
         x = a[k, k + 1 :]  # of the row, for a is symmetric
         size = math.sqrt(dot(x, x))
         beside[k] = -math.copysign(size, x[0])
-        if k == n - 2 or size == 0.0:
+        if k == n - 2 or size < _VANISHED:
             beside[k] = x[0]
             continue
         v = reflections[k, k + 1 :]

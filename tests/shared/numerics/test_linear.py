@@ -75,6 +75,15 @@ def test_eigenvalues_of_one_size_tiny_ones_and_none_at_all(n: int) -> None:
         np.testing.assert_allclose((vectors * found) @ vectors.T / scale, symmetric / scale, rtol=0, atol=1e-14 * n)
 
 
+@pytest.mark.parametrize("tiny", [1e-150, 1e-158, 1e-160, 2e-162, 1e-170, 5e-324])
+def test_elements_whose_squares_vanish_leave_eigenvalues_as_they_are(tiny: float) -> None:
+    a = np.eye(4)
+    a[0, 1:] = a[1:, 0] = tiny
+    values, vectors = linear.eigh(a)
+    np.testing.assert_allclose(values, 1.0, rtol=1e-15)
+    np.testing.assert_allclose(vectors.T @ vectors, np.eye(4), rtol=0, atol=1e-14)
+
+
 def test_repeated_columns_have_a_singular_value_of_zero() -> None:
     a = np.outer(drawn(np.random.default_rng(4), 6), [1.0, 1j, 0.0])
     u, s = linear.singular(linear.embedded(a))
