@@ -1,6 +1,7 @@
 """The metrics service: it follows a journal that somebody else writes, wherever that is in its life."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,8 @@ def test_it_answers_of_the_present_and_a_restarted_one_of_the_past(sent: list[Me
             if type(answer) is Checkpoint:
                 assert core.handle(answer) == ()
                 seen += _n(core)[:1]
-                assert _n(MetricsCore(path))[:1] == _n(core)[:1]
+                with closing(MetricsCore(path)) as restarted:
+                    assert _n(restarted)[:1] == _n(core)[:1]
     assert seen == sorted(seen)
     assert seen[-1] == DWELLS
     assert len(set(seen)) >= 3
