@@ -248,21 +248,21 @@ def _loaded(scenario: Scenario | str | Path, how: Playing) -> Scenario:
 
 def _with_own(scenario: Scenario, things: Mapping[Kind, Any]) -> Scenario:
     """A scenario with other things, by name or as objects. Raises BadInput."""
+    own = {kind: thing for kind, thing in things.items() if thing is not None}
+    if not own:
+        return scenario
     document = scenario.model_dump()
-    for kind, thing in things.items():
+    for kind, thing in own.items():
         *tables, key = kind.stands.split(".")
         table: Any = document
         for part in tables:
             table = table[part]
-            if table is None and thing is not None:
+            if table is None:
                 raise BadInput(f"{kind.name}: {scenario.name} has no [world]")
-        if thing is not None:
-            try:
-                table[key] = named(kind, thing, Path())
-            except PluginError as error:
-                raise BadInput(f"{kind.name} = {thing!r}: {error}") from None
-    if all(thing is None for thing in things.values()):
-        return scenario
+        try:
+            table[key] = named(kind, thing, Path())
+        except PluginError as error:
+            raise BadInput(f"{kind.name} = {thing!r}: {error}") from None
     try:
         return parse(document, scenario.name)
     except ScenarioError as error:

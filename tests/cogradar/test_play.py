@@ -125,6 +125,19 @@ def test_settings_are_those_of_the_command_line() -> None:
         cogradar.run("smoke", front_end="nowhere.py:None", dwells=2)
 
 
+def test_a_receiver_of_your_own_is_played(tmp_path: Path) -> None:
+    text, receiver = Path("deploy/scenarios/smoke.toml").read_text(), "cogradar/templates/front_end.py:Receiver"
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text[: text.index("[world")])
+    result = cogradar.run(mine, front_end=receiver, dwells=2)
+    assert (result.status, result.has_truth, len(result.t)) == ("complete", False, 2)
+    with cogradar.play(mine, front_end=receiver, rule="mode", dwells=2) as player:
+        assert [dwell.has_truth for dwell in player] == [False] * (player.result.acquisition_scans + 2)
+    assert player.result.scenario.radar.planner.rule == "mode"
+    with pytest.raises(cogradar.BadInput, match=r"disturbance: smoke has no \[world\]"):
+        cogradar.run(mine, front_end=receiver, disturbance="white")
+
+
 def test_pictures_show_the_dwell(played: tuple[list[cogradar.Dwell], cogradar.Result]) -> None:
     result = played[1]
     (target, *_) = np.flatnonzero(~np.isnan(result.estimates[-1, :, 0])) + 1
