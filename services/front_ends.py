@@ -31,17 +31,18 @@ _RECORDED = "recorded:"
 _ZENOH = "zenoh:"
 
 
-def open_front_end(name: str, connect: str = "") -> OpenFrontEnd:
+def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lambda: None) -> OpenFrontEnd:
     """What opens the front end of this name for a run. Raises BadInput if there is none.
 
     connect : endpoints of the system's router, comma-separated; empty: there is none that others know
+    check   : raises Interrupted when the process is to end, while a front end in another process is waited for
     """
     if name == SIMULATED:
         return SimulatedFrontEnd.open
     if name.startswith(_RECORDED):
         return _recorded(name)
     if name.startswith(_ZENOH):
-        return _over_zenoh(name, connect)
+        return _over_zenoh(name, connect, check)
     return OpensInOwnThread(_named(name))
 
 
@@ -54,7 +55,7 @@ def settled(name: str) -> str:
     return f"{_RECORDED}{Path(file).resolve()}#{run}"
 
 
-def _over_zenoh(name: str, connect: str) -> OpenFrontEnd:
+def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFrontEnd:
     called, _, where = name.removeprefix(_ZENOH).partition("@")
     if not re.fullmatch(FRONT_END_NAME, called):
         raise BadInput(
@@ -66,7 +67,7 @@ def _over_zenoh(name: str, connect: str) -> OpenFrontEnd:
             f"{name}: no front end can know the router of this run: say where it listens, as in"
             f" {_ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
         )
-    return OpensForeign(called, endpoints.split(","))
+    return OpensForeign(called, endpoints.split(","), check)
 
 
 def _recorded(name: str) -> OpenFrontEnd:

@@ -86,7 +86,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             compile_all(log.info, stop)
         if service.yields:
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
-        core = service.core(start)
+        core = service.core(replace(start, check=check))
         if isinstance(core, Closing):
             closing.callback(core.close)
         session = open_session(connect.split(","), None, check=check)

@@ -25,6 +25,7 @@ class Start:
     rate_hz: float = 0.0  # operator: their dwells per second
     http: str = ""  # metrics: where it serves HTTP (`cogradar.services.web.address`); empty: nowhere
     connect: str = ""  # endpoints of the router; empty: there is none
+    check: Callable[[], None] = lambda: None  # raises Interrupted when the process is to end
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -34,7 +35,7 @@ def _emulator(start: Start) -> Core:
     from cogradar.services.emulator.core import EmulatorCore
     from cogradar.services.front_ends import open_front_end
 
-    return EmulatorCore(open_front_end(start.front_end, start.connect))
+    return EmulatorCore(open_front_end(start.front_end, start.connect, start.check))
 
 
 def _planner(start: Start) -> Core:

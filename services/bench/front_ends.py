@@ -13,6 +13,7 @@ from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.emulator.foreign import ForeignFrontEnd, question
 from cogradar.services.emulator.front_end import ScanData, Settings, Transmission, receive
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.errors import RunFailed
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.front_ends.messages import Hello, Received
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
@@ -101,8 +102,9 @@ def _opened(
     process = context.Process(target=serve, args=(steady, is_up, stop), daemon=True)
     process.start()
     try:
-        is_up.wait(STARTS_WITHIN_S)
-        line = Line(NAME, [endpoint], STARTS_WITHIN_S)
+        if not is_up.wait(STARTS_WITHIN_S):
+            raise RunFailed(f"the front end of the measurement is not there within {STARTS_WITHIN_S:g} s")
+        line = Line(NAME, [endpoint], STARTS_WITHIN_S, lambda: None)
         front_end = ForeignFrontEnd.open(NAME, settings, settings.radar.model_dump(), line, STARTS_WITHIN_S)
         try:
             yield line, front_end

@@ -5,7 +5,7 @@ same name are not used.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol, Self
 
@@ -28,7 +28,7 @@ from cogradar.shared.wire.front_ends.line import Line, Reply
 PATIENCE_S = 10.0  # in lockstep, which has no deadlines: for any answer, and for a front end that is started again
 FIRST_S, AGAIN_S = 3.0, 0.5  # in real time: for the Hello when a run begins, and in mid-run
 PART, LONGEST = 0.5, 0.9  # of a period, in which an answer must come; and if the front end says that it takes longer
-MAX_STRANGERS = 100
+MAX_OTHERS = 100
 _ROWS = (
     *("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power"),
     *("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas"),
@@ -52,8 +52,9 @@ class Asking(Protocol):
 class OpensForeign:
     """Opens the front end of a name, wherever it is."""
 
-    def __init__(self, name: str, endpoints: Sequence[str]) -> None:
-        self._name, self._endpoints = name, endpoints
+    def __init__(self, name: str, endpoints: Sequence[str], check: Callable[[], None] = lambda: None) -> None:
+        """`check` raises Interrupted when the process is to end: nothing is waited for any longer."""
+        self._name, self._endpoints, self._check = name, endpoints, check
 
     def __call__(self, checkpoint: EmulatorCheckpoint) -> "ForeignFrontEnd":
         """Open it. Raises FrontEndError."""
@@ -62,7 +63,7 @@ class OpensForeign:
         if not pacing_at(settings.rate_hz).has_deadlines:
             within_s = PATIENCE_S
         try:
-            line = Line(self._name, self._endpoints, within_s)
+            line = Line(self._name, self._endpoints, within_s, self._check)
         except ConnectionError as error:
             raise FrontEndError(f"{self._name}: {error}") from None
         try:
@@ -75,10 +76,10 @@ class OpensForeign:
 class ForeignFrontEnd:
     """One run's transmitter and receiver, behind a line."""
 
-    def __init__(self, name: str, settings: Settings, hello: Hello, line: Asking) -> None:
-        """`hello` is of a front end that fits."""
-        self._name, self._settings, self._hello, self._line = name, settings, hello, line
-        self._strangers: set[str] = set()
+    def __init__(self, name: str, settings: Settings, hello: Hello, line: Asking, replier: str) -> None:
+        """`hello` is of a front end that fits, and came from `replier`."""
+        self._name, self._settings, self._hello, self._line, self._replier = name, settings, hello, line, replier
+        self._others: set[str] = set()
         self._wait_s = PATIENCE_S
         if (period_s := pacing_at(settings.rate_hz).seconds(1)) > 0.0:
             self._wait_s = min(max(PART * period_s, 1.0 / hello.max_rate_hz), LONGEST * period_s)
@@ -87,20 +88,28 @@ class ForeignFrontEnd:
     def open(cls, name: str, settings: Settings, radar: dict[str, object], line: Asking, within_s: float) -> Self:
         """Ask what is there. Raises FrontEndError unless it is one, and one that fits."""
         opening = Opening(run=settings.run, radar=radar, dwells=settings.dwells, rate_hz=settings.rate_hz)
-        replies = list(line.open(opening, within_s))
-        hellos = {reply.message.incarnation: reply.message for reply in replies if reply.message is not None}
+        hellos, faults = dict[tuple[str, str], Hello](), list[str]()
+        for reply in line.open(opening, within_s):
+            hello = reply.message
+            if hello is None:
+                faults.append(reply.fault)
+            elif hello.run != settings.run:
+                faults.append(f"its Hello is for {hello.run}, {settings.run} was opened")
+            else:
+                hellos[hello.incarnation, reply.replier] = hello
         if len(hellos) > 1:
+            drawn = ", ".join(sorted(incarnation for incarnation, _ in hellos))
             raise FrontEndError(
-                f"{name}: {len(hellos)} front ends have this name ({', '.join(sorted(hellos))}): stop all but one, or"
-                " give each a name of its own"
+                f"{name}: {len(hellos)} front ends have this name ({drawn}): stop all but one, or give each a name of"
+                " its own"
             )
         if not hellos:
-            why = next((reply.fault for reply in replies), f"nothing answers within {within_s:g} s: start it first")
+            why = next(iter(faults), f"nothing answers within {within_s:g} s: start it first")
             raise FrontEndError(f"{name}: {why}")
-        (hello,) = hellos.values()
+        (((_, replier), hello),) = hellos.items()
         _check(name, settings, hello)
         log.info("%s: front end %s: %s x %s channels %s", settings.run, name, hello.n_tx, hello.n_rx, hello.site)
-        return cls(name, settings, hello, line)
+        return cls(name, settings, hello, line, replier)
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
         """Ask for dwell k. Raises FrontEndError if the front end has to be opened again, or SenselessScan."""
@@ -109,9 +118,9 @@ class ForeignFrontEnd:
             received = reply.message
             if received is None:
                 faults.append(reply)
-            elif received.incarnation != self._hello.incarnation:
+            elif (received.incarnation, reply.replier) != (self._hello.incarnation, self._replier):
                 others.add(received.incarnation)
-                self._tell_stranger(received.incarnation)
+                self._tell_other(received.incarnation)
             elif (received.run, received.k) == (self._settings.run, k):
                 return self._measured(received, reply.data, waveform)
             else:
@@ -170,9 +179,9 @@ class ForeignFrontEnd:
             raise SenselessScan("Y: must be finite")
         return dict(zip(cells, y, strict=True)) if has_cells else y[0]
 
-    def _tell_stranger(self, incarnation: str) -> None:
-        if incarnation not in self._strangers and len(self._strangers) < MAX_STRANGERS:
-            self._strangers.add(incarnation)
+    def _tell_other(self, incarnation: str) -> None:
+        if incarnation not in self._others and len(self._others) < MAX_OTHERS:
+            self._others.add(incarnation)
             log.warning(
                 "%s: front end %s: a second one answers, %s beside %s: stop one of them, or give it another name",
                 *(self._settings.run, self._name, incarnation, self._hello.incarnation),

@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 
 from cogradar.services.errors import Interrupted, RunFailed, check_stop
@@ -69,7 +70,9 @@ def steps(
     began = next_report = time.monotonic()
     store = store or in_memory()
     network = LocalNetwork()
-    endpoints = _endpoints(network, start, store, planners, front_end)
+    endpoints = _endpoints(
+        network, start, store, planners, Start("", front_end=front_end, check=partial(check_stop, stop))
+    )
     ask = partial(answer, store)
     (recorded,) = (bus.queue for _, bus in endpoints if bus.role is Role.RECORDER)  # which gets all that is said
 
@@ -100,18 +103,18 @@ def steps(
 
 
 def _endpoints(
-    network: LocalNetwork, start: RunStart, store: Store, planners: int, front_end: str
+    network: LocalNetwork, start: RunStart, store: Store, planners: int, as_told: Start
 ) -> list[tuple[Core, LocalBus]]:
     """All cores of a run, in the order in which they take their turns."""
     knows_truth = start.scenario["radar"]["planner"]["rule"] in TRUE_RULES
-    foresight = Foresight(start, front_end) if knows_truth else None
+    foresight = Foresight(start, as_told.front_end) if knows_truth else None
     endpoints = []
     for service in TOPOLOGY:
         for i in range(planners if service.scalable else 1):
             if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
                 name = f"{service.role}-{i}"
                 is_recorder = service.role is Role.RECORDER
-                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
+                core = RecorderCore(store.journal) if is_recorder else service.core(replace(as_told, name=name))
                 if foresight is not None and service.role is Role.PLANNER:
                     core = KnowingPlanner(core, foresight)
                 endpoints.append((core, network.endpoint(service.role, name)))

@@ -1,7 +1,10 @@
 """Front ends in processes of their own: the same run as in process, and what becomes of one that fails."""
 
 import struct
+import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import msgpack
 import numpy as np
@@ -19,13 +22,14 @@ from cogradar.services.emulator.front_end import (
     Transmission,
     receive,
 )
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, Interrupted
 from cogradar.services.front_ends import open_front_end
 from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, RunEnd, RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.front_ends import line
 from cogradar.shared.wire.front_ends.line import Reply
 from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_start
 from tests.zenoh_device import NAME, Answer, Device, simulated
@@ -224,8 +228,9 @@ class FakeLine:
         self.is_closed = True
 
 
-def _hello(incarnation: str = "first", **fields: object) -> Reply[Hello]:
-    return Reply(Hello.model_validate({"run": "r", "incarnation": incarnation} | HELLO | fields))
+def _hello(incarnation: str = "first", replier: str = "", **fields: object) -> Reply[Hello]:
+    said = {"run": SETTINGS.run, "incarnation": incarnation} | HELLO | fields
+    return Reply(Hello.model_validate(said), replier=replier)
 
 
 def _opened(line: FakeLine) -> ForeignFrontEnd:
@@ -237,6 +242,8 @@ def _opened(line: FakeLine) -> ForeignFrontEnd:
     [
         ([], "roof: nothing answers within 1 s: start it first"),
         ([_hello(), _hello("second")], "roof: 2 front ends have this name (first, second): stop all but one"),
+        ([_hello(), _hello(replier="b")], "roof: 2 front ends have this name (first, first): stop all but one"),
+        ([_hello(run="q")], "roof: its Hello is for q, r was opened"),
         ([_hello(n_tx=8)], "roof: its array is 8 x 16, the scenario's radar.array.n_tx x n_rx is 16 x 16: set these"),
         ([_hello(max_rate_hz=9.0)], "roof: it makes at most 9 dwells a second, the run has 10: lower --rate"),
         ([Reply[Hello](None, fault="schema 7, expected 2")], "roof: schema 7, expected 2"),
@@ -301,6 +308,67 @@ def test_two_front_ends_of_one_name_are_named(router: str, caplog: pytest.LogCap
     (end,) = [message for message in failed if isinstance(message, RunEnd)]
     assert end.reason.startswith("front end: roof: 2 front ends have this name (first, second)")
     assert device.incarnation == "first"
+
+
+def test_a_silent_front_end_is_left_when_the_process_is_to_end() -> None:
+    asked, stop, is_over = threading.Event(), threading.Event(), threading.Event()
+
+    def check() -> None:
+        if stop.is_set():
+            raise Interrupted("interrupted")
+
+    def answer(_device: Device, _asked: Transmit) -> None:
+        asked.set()
+        is_over.wait(20.0)
+
+    def interrupt() -> None:
+        asked.wait(20.0)
+        stop.set()
+
+    begun = checkpoint(_without_world(_start()))
+    with Device(answer) as device:
+        opened = OpensForeign(NAME, [device.endpoint], check)(begun)
+        threading.Thread(target=interrupt, daemon=True).start()
+        began = time.monotonic()
+        with closing(opened), pytest.raises(Interrupted):
+            opened.transmit(0, 0, ASKED)
+        took_s = time.monotonic() - began
+        is_over.set()
+    assert took_s < 5.0
+
+
+def test_a_question_that_is_dropped_is_asked_again_after_growing_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign, "PATIENCE_S", 2.0)
+    begun = checkpoint(_without_world(_start()))
+    no_answer = pytest.raises(FrontEndError, match="roof: no answer within 2 s")
+    with Device(lambda *_: None) as device:
+        with closing(OpensForeign(NAME, [device.endpoint])(begun)) as opened, no_answer:
+            opened.transmit(0, 0, ASKED)
+        left = [asked.deadline_s for asked in device.asked]
+    assert 2 <= len(left) <= 5
+    assert left == sorted(left, reverse=True)
+    assert left[-1] < 2.0 - 0.01
+
+
+def test_what_waits_of_replies_is_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line, "MAX_DATA", 5000)
+    begun = checkpoint(_without_world(_start()))
+    device = Device(lambda d, a: d.data(a, _y(a.k, 1))._replace(times=9), hands_over="data")
+    with device, closing(line.Line(NAME, [device.endpoint], 9.0, lambda: None)) as opened:
+        list(opened.open(Opening(run="r", radar=begun.radar, dwells=1, rate_hz=0.0), 9.0))
+        replies = list(_unread(opened, foreign.question("r", 0, 0, ASKED, 9.0)))
+    faults = [reply.fault for reply in replies if reply.message is None]
+    assert len(replies) == 9
+    assert len(faults) > 3
+    assert faults[0].endswith("bytes, more than 5000 with what waits already")
+
+
+def _unread(opened: line.Line, asked: Transmit) -> Iterator[Reply[Received]]:
+    """All replies to a question, which wait until the last one has come."""
+    for n, reply in enumerate(opened.transmit(asked, 9.0)):
+        if n == 0:
+            time.sleep(0.5)
+        yield reply
 
 
 @pytest.mark.parametrize(
