@@ -86,7 +86,8 @@ class FrontEnd:
 
     def __init__(self, session, name, seed, shared_mb):
         self._incarnation, self._seed, self._worlds = secrets.token_hex(8), seed, {}
-        self._memory = zenoh.shm.ShmProvider.default_backend(shared_mb << 20) if shared_mb else None
+        self._most = shared_mb << 20
+        self._memory = zenoh.shm.ShmProvider.default_backend(self._most) if shared_mb else None
         key = f"cogradar/{PROTOCOL}/front-end/{name}"
         self._declared = [
             session.declare_queryable(f"{key}/opening", self._guarded(self._open), complete=True),
@@ -98,7 +99,8 @@ class FrontEnd:
             with query:  # the radar waits until the query is dropped
                 try:
                     answer(query, unpack(query.payload.to_bytes()))
-                except (KeyError, TypeError, ValueError) as error:  # the radar says it, and opens this front end again
+                # The radar says it, and opens this front end again.
+                except (LookupError, TypeError, ValueError, zenoh.ZError) as error:
                     query.reply_err(f"{type(error).__name__}: {error}".encode())
 
         return on_query
@@ -116,14 +118,20 @@ class FrontEnd:
         received = {"run": dwell["run"], "incarnation": self._incarnation, "k": dwell["k"]}
         if dwell["range_cells"].size:
             received["range_cells"] = dwell["range_cells"]
-        y = self._worlds[dwell["run"]].receive(dwell) if dwell["run"] in self._worlds else np.empty(0, np.complex64)
+        if dwell["run"] not in self._worlds:  # another run was opened since, or this process is a new one
+            query.reply_err(f"run {dwell['run']} is not open".encode())
+            return
+        y = self._worlds[dwell["run"]].receive(dwell)
         query.reply(query.key_expr, self._payload(y.astype("<c8").tobytes()), attachment=pack("received", received))
 
     def _payload(self, y):
         """In memory that a radar on this machine maps, if that was asked for; a receiver would write there itself."""
-        if self._memory is None or not y:
+        if self._memory is None or len(y) > self._most:
             return y
-        buffer = self._memory.alloc(len(y), zenoh.shm.BlockOn(zenoh.shm.GarbageCollect()))
+        try:
+            buffer = self._memory.alloc(len(y), zenoh.shm.GarbageCollect())
+        except zenoh.ZError:  # answers that the radar has not copied yet fill it: waiting for room may have no end
+            return y
         buffer[:] = y
         return zenoh.ZBytes(buffer)
 

@@ -8,15 +8,21 @@ from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
+import zenoh
 
 from cogradar.services import kernels
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs.continuity import continuity
+from cogradar.shared.protocol.front_ends.messages import Opening, Transmit
 from cogradar.shared.protocol.messages import RunStart, Scan, roster_of
-from cogradar.shared.wire.codec import decode
-from cogradar.shared.wire.session import free_port
+from cogradar.shared.protocol.topics import DWELL, OPENING, Exchange
+from cogradar.shared.scenario.files import load
+from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.wire.session import free_port, open_session
+from tests.samples import sample
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCENARIO = (REPOSITORY / "deploy/scenarios/smoke.toml").read_text(encoding="utf-8")
@@ -26,9 +32,9 @@ BEFORE, BETWEEN = 30, 20  # dwells: until the first kill, and from one to the ne
 
 
 @contextmanager
-def _front_end(endpoint: str) -> Iterator[None]:
+def _front_end(endpoint: str, *options: str) -> Iterator[None]:
     """The process, until it is killed."""
-    command = [sys.executable, str(EXAMPLE), "roof", "--listen", endpoint]
+    command = [sys.executable, str(EXAMPLE), "roof", "--listen", endpoint, *options]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None
@@ -53,6 +59,36 @@ def _wait_for(dwells: int, store: Path, run: subprocess.Popen[str]) -> None:
         assert time.monotonic() < deadline
         assert run.poll() is None
         time.sleep(0.1)
+
+
+def _asked(run: str) -> bytes:
+    """A dwell of 16 x 16 channels and 1000 range cells: 2 MB of Y."""
+    asked = sample(Transmit)
+    cells = {"run": run, "factor": np.zeros((16, 1), np.complex64), "range_cells": np.arange(1000, dtype=np.int32)}
+    return encode(asked.model_copy(update=cells))
+
+
+@pytest.mark.parametrize("megabytes", ["0", "1", "16"])
+def test_each_run_has_its_answers_or_is_told_to_open_again(megabytes: str) -> None:
+    endpoint, radar = f"tcp/127.0.0.1:{free_port()}", load("smoke").radar.model_dump()
+    with (
+        _front_end(endpoint, "--shared-memory", megabytes),
+        closing(open_session([endpoint], 9.0, lambda: None, shares_memory=True)) as session,
+    ):
+
+        def ask(exchange: Exchange, payload: bytes) -> zenoh.Reply:
+            (reply,) = session.get(exchange.key_of("roof"), payload=payload, timeout=9.0)
+            return reply
+
+        for run in "ab":
+            assert ask(OPENING, encode(Opening(run=run, radar=radar, dwells=9, rate_hz=0.0))).ok is not None
+        for _ in range(20):  # sixteen fill the memory
+            answer = ask(DWELL, _asked("b")).ok
+            assert answer is not None
+            assert len(answer.payload) == 8 * 1000 * 16 * 16
+        refused = ask(DWELL, _asked("a")).err
+        assert refused is not None
+        assert refused.payload.to_string() == "run a is not open"
 
 
 @pytest.mark.slow
