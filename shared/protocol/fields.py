@@ -227,7 +227,7 @@ ProcessName = Annotated[
     ),
 ]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
-UtcSeconds = Annotated[float, Field(ge=0, lt=253_402_300_800.0)]  # since 1970, up to the year 9999
+UtcSeconds = Annotated[float, Field(ge=0, lt=7_258_118_400.0)]  # since 1970, before the year 2200, as `site.begin_utc`
 Count = Annotated[int, Field(ge=0, lt=2**48)]  # of a run: up to MAX_SIDE things, twice in each of its dwells
 Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
 Lacking = Annotated[list[Index], Field(max_length=MAX_SIDE)] | None  # tracks; None: more than of tracks

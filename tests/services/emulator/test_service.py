@@ -329,7 +329,7 @@ def test_what_is_no_scan_at_all_counts_as_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("utc_s", "fault"), [(1.79e9, None), (-1.0, "utc_s: "), (np.nan, "utc_s: "), ("now", "utc_s: ")]
+    ("utc_s", "fault"), [(1.79e9, None), (-1.0, "utc_s: "), (2e10, "utc_s: "), (np.nan, "utc_s: "), ("now", "utc_s: ")]
 )
 def test_the_time_of_a_scan_is_as_the_receiver_says_or_the_scan_is_senseless(utc_s: object, fault: str | None) -> None:
     receiver = Receiver()
