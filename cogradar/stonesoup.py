@@ -1,8 +1,8 @@
 """Runs for Stone Soup: detections and ground truth as its readers, dwell by dwell, and tracks as its tracks.
 
-    from cogradar.stonesoup import DwellDetections
+    from cogradar.stonesoup import DwellDetectionReader
 
-    for time, tracks in MultiTargetTracker(..., detector=DwellDetections(cogradar.play("traffic"))): ...
+    for time, tracks in MultiTargetTracker(..., detector=DwellDetectionReader(cogradar.play("traffic"))): ...
 
 Dwells are those of `cogradar.play`, which is played as far as the tracker asks for, or of `Result.dwells()`. States are
 [x, vx, y, vy], km and km/s, with x along boresight. Needs Stone Soup: pip install 'cogradar[stonesoup]'.
@@ -10,14 +10,15 @@ Dwells are those of `cogradar.play`, which is played as far as the tracker asks 
 
 import math
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.records import Records
-from cogradar.services.errors import BadInput
+from cogradar.services.analysis.export.times import timed
+from cogradar.services.errors import MissingLibrary
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 try:
@@ -32,36 +33,38 @@ try:
     from stonesoup.types.state import GaussianState
     from stonesoup.types.track import Track
 except ImportError as missing:
-    raise BadInput(f"cogradar.stonesoup needs Stone Soup ({missing}): pip install 'cogradar[stonesoup]'") from None
+    raise MissingLibrary(
+        f"cogradar.stonesoup needs Stone Soup ({missing}): pip install 'cogradar[stonesoup]'"
+    ) from None
 
 BEGAN = datetime(2000, 1, 1)  # dwell 0 where no time is known
 POSITION = (0, 2)  # x and y of a state
 STEEPEST = 0.999  # sine of an angle from boresight, up to which the bearing's standard deviation grows
 
 
-def time_of(dwell: Dwell) -> datetime:
-    """When a dwell after the acquisition was, in UTC and without a zone, as Stone Soup has its times.
+def moments(dwells: Iterable[Dwell]) -> Iterator[tuple[datetime, Dwell]]:
+    """Dwells after the acquisition, during which targets stand still, with their times, which ascend.
 
-    As the front end says, else as the `[site]` of the scenario; BEGAN where the site does not say when the run begins.
+    Times are UTC and without a zone, as Stone Soup has them: as the front end says, else as the `[site]` of the
+    scenario; from BEGAN on where the site does not say when the run begins. A run has one clock: dwells without a time
+    are counted on from the others, and the first ones back.
     """
-    if dwell.utc_s is not None:
-        return datetime.fromtimestamp(dwell.utc_s, UTC).replace(tzinfo=None)
-    site = dwell.scenario.site
-    begin_s = None if site is None else site.begin_s
-    began = BEGAN if begin_s is None else datetime.fromtimestamp(begin_s, UTC).replace(tzinfo=None)
-    return began + timedelta(seconds=dwell.t * dwell.scenario.radar.motion.dt_s)
+    epoch_s = BEGAN.replace(tzinfo=UTC).timestamp()
+    for at_s, _, dwell in timed((dwell for dwell in dwells if dwell.t > 0), epoch_s):
+        yield datetime.fromtimestamp(at_s, UTC).replace(tzinfo=None), dwell
 
 
-def detections(dwell: Dwell, *, every_row: bool = False) -> set[Detection]:
+def detections(dwell: Dwell, time: datetime, *, every_row: bool = False) -> set[Detection]:
     """The detections of a dwell, each with its measurement model.
 
+    time      : of the dwell, as of `moments`
     every_row : also the weaker rows of an echo that is over the limit in several looks or range cells
 
     A model is of bearing (rad) and range (km), of the bearing alone where the radar has no range cells. The bearing's
     standard deviation is the measured one, else of a place in the look; the range's is of a place in the cell. What is
     measured includes the target's height. `metadata` has the columns of `Dwell.detections`.
     """
-    rows, time = dwell.detections(), time_of(dwell)
+    rows = dwell.detections()
     chosen = rows if every_row else rows[rows["strongest"] == 1]
     return {_detection(row, time, dwell.scenario.radar) for row in chosen}
 
@@ -81,7 +84,7 @@ def _detection(row: Records, time: datetime, radar: RadarConfig) -> Detection:
     return Detection(StateVector(state), timestamp=time, measurement_model=model, metadata=metadata)
 
 
-class DwellDetections(DetectionReader):  # type: ignore[misc] # Stone Soup has no types
+class DwellDetectionReader(DetectionReader):  # type: ignore[misc] # Stone Soup has no types
     """The detections of each dwell after the acquisition, also of dwells without one."""
 
     dwells: Iterable[Dwell] = Property(doc="Of `cogradar.play`, or of `Result.dwells()`; each is read once")
@@ -90,11 +93,11 @@ class DwellDetections(DetectionReader):  # type: ignore[misc] # Stone Soup has n
     @BufferedGenerator.generator_method  # type: ignore[untyped-decorator]
     def detections_gen(self) -> Iterator[tuple[datetime, set[Detection]]]:
         """Time and detections of each dwell."""
-        for dwell in _tracking(self.dwells):
-            yield time_of(dwell), detections(dwell, every_row=self.every_row)
+        for time, dwell in moments(self.dwells):
+            yield time, detections(dwell, time, every_row=self.every_row)
 
 
-class DwellTruth(GroundTruthReader):  # type: ignore[misc]
+class DwellGroundTruthReader(GroundTruthReader):  # type: ignore[misc]
     """The paths, so far, of the targets that are there in each dwell. Raises BadInput where there is no truth."""
 
     dwells: Iterable[Dwell] = Property(doc="Of `cogradar.play`, or of `Result.dwells()`; each is read once")
@@ -103,8 +106,8 @@ class DwellTruth(GroundTruthReader):  # type: ignore[misc]
     def groundtruth_paths_gen(self) -> Iterator[tuple[datetime, set[GroundTruthPath]]]:
         """Time and paths of each dwell."""
         paths = dict[int, GroundTruthPath]()
-        for dwell in _tracking(self.dwells):
-            time, there = time_of(dwell), set[GroundTruthPath]()
+        for time, dwell in moments(self.dwells):
+            there = set[GroundTruthPath]()
             for row in dwell.truth():
                 path = paths.setdefault(int(row["target"]), GroundTruthPath(id=str(row["target"])))
                 path.append(GroundTruthState(_state(row, ""), timestamp=time, metadata={"z_km": float(row["z"])}))
@@ -115,7 +118,7 @@ class DwellTruth(GroundTruthReader):  # type: ignore[misc]
 def truth(dwells: Iterable[Dwell]) -> set[GroundTruthPath]:
     """The whole path of each target. Raises BadInput where there is no truth."""
     found = set[GroundTruthPath]()
-    for _, paths in DwellTruth(dwells):
+    for _, paths in DwellGroundTruthReader(dwells):
         found |= paths
     return found
 
@@ -126,18 +129,13 @@ def tracks(dwells: Iterable[Dwell], *, tentative: bool = False) -> set[Track]:
     tentative : also the states before a track was confirmed
     """
     found = dict[int, Track]()
-    for dwell in _tracking(dwells):
+    for time, dwell in moments(dwells):
         for row in dwell.tracks():
             if row["confirmed"] or tentative:
                 track = found.setdefault(int(row["track"]), Track(id=str(row["track"])))
-                track.append(GaussianState(_state(row, "_hat"), row["covariance"], timestamp=time_of(dwell)))
+                track.append(GaussianState(_state(row, "_hat"), row["covariance"], timestamp=time))
     return set(found.values())
 
 
 def _state(row: Any, suffix: str) -> StateVector:
     return StateVector([float(row[f"{name}{suffix}"]) for name in ("x", "vx", "y", "vy")])
-
-
-def _tracking(dwells: Iterable[Dwell]) -> Iterator[Dwell]:
-    """Dwells after the acquisition, during which targets stand still."""
-    return (dwell for dwell in dwells if dwell.t > 0)

@@ -22,6 +22,10 @@ class BadInput(Failure, ValueError):
     exit_code = 2
 
 
+class MissingLibrary(BadInput, ModuleNotFoundError):
+    """A library that is an extra of ours is not installed; the text says what installs it."""
+
+
 class RunFailed(Failure):
     """A run, or what was to be done with one, did not reach its end."""
 

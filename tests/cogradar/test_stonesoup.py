@@ -3,13 +3,14 @@
 import sys
 from datetime import datetime
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import cogradar
-from cogradar.stonesoup import BEGAN, DwellDetections, DwellTruth, tracks, truth
+from cogradar.stonesoup import BEGAN, DwellDetectionReader, DwellGroundTruthReader, tracks, truth
 from tests.oracles import stone_soup
 from tests.skies import small_sky
 
@@ -26,10 +27,10 @@ def test_each_echo_is_a_detection_with_its_model(result: cogradar.Result) -> Non
     table, errors = result.detections(), []
     chosen = table[(table["t"] > 0) & (table["strongest"] == 1)]
     states = result.true_states
-    found = list(DwellDetections(result.dwells()))
+    found = list(DwellDetectionReader(result.dwells()))
     assert [time for time, _ in found] == [datetime(2000, 1, 1, 0, 0, t) for t in range(1, DWELLS + 1)]
     assert sum(len(detections) for _, detections in found) == len(chosen) > DWELLS
-    every = DwellDetections(result.dwells(), every_row=True)
+    every = DwellDetectionReader(result.dwells(), every_row=True)
     assert sum(len(detections) for _, detections in every) == (table["t"] > 0).sum()
     for time, detections in found:
         for detection in detections:
@@ -56,8 +57,8 @@ def _seen(detection: Any, state: Any) -> Any:
 
 def test_a_live_run_says_what_it_says_afterwards(result: cogradar.Result) -> None:
     with cogradar.play(small_sky(), seed=4, dwells=DWELLS) as player:
-        live = list(DwellDetections(player))
-    for (time, ours), (later, theirs) in zip(live, DwellDetections(result.dwells()), strict=True):
+        live = list(DwellDetectionReader(player))
+    for (time, ours), (later, theirs) in zip(live, DwellDetectionReader(result.dwells()), strict=True):
         assert time == later
         assert sorted(map(_numbers, ours)) == sorted(map(_numbers, theirs))
 
@@ -68,7 +69,7 @@ def _numbers(detection: Any) -> list[float]:
 
 def test_what_is_not_measured_is_as_wide_as_a_bin() -> None:
     result = cogradar.run("smoke", dwells=6)
-    found = [one for _, detections in DwellDetections(result.dwells()) for one in detections]
+    found = [one for _, detections in DwellDetectionReader(result.dwells()) for one in detections]
     assert found
     for detection in found:
         (bearing,) = _numbers(detection)
@@ -78,7 +79,7 @@ def test_what_is_not_measured_is_as_wide_as_a_bin() -> None:
 
 
 def test_targets_are_there_while_they_are(result: cogradar.Result) -> None:
-    for i, (time, paths) in enumerate(DwellTruth(result.dwells())):
+    for i, (time, paths) in enumerate(DwellGroundTruthReader(result.dwells())):
         there = {str(m + 1): result.true_states[i, m] for m in np.flatnonzero(result.present[i])}
         assert {path.id for path in paths} == set(there)
         for path in paths:
@@ -112,11 +113,35 @@ def test_tracks_have_the_beliefs(result: cogradar.Result) -> None:
 def test_times_are_the_sites_where_there_is_one() -> None:
     site = {"site.latitude_deg": 48.0, "site.longitude_deg": 11.0, "site.boresight_deg": 90.0}
     result = cogradar.run("smoke", set=site | {"site.begin_utc": "2026-01-01T00:00:00Z"}, dwells=2)
-    assert [time for time, _ in DwellDetections(result.dwells())] == [datetime(2026, 1, 1, 0, 0, t) for t in (1, 2)]
+    times = [time for time, _ in DwellDetectionReader(result.dwells())]
+    assert times == [datetime(2026, 1, 1, 0, 0, t) for t in (1, 2)]
+
+
+RECEIVED = "return receive(self._received(w), waveform, self._radar)"
+WITH_A_CLOCK = """if t in {1, 3, 4}:
+            raise SenselessScan("nothing came")
+        return replace(receive(self._received(w), waveform, self._radar), utc_s=1.79e9 + t)"""
+
+
+def test_dwells_that_were_not_measured_are_on_the_clock_of_the_others(tmp_path: Path) -> None:
+    code = Path("cogradar/templates/front_end.py").read_text().replace(RECEIVED, WITH_A_CLOCK)
+    imports = "from dataclasses import replace\nfrom cogradar.front_end import SenselessScan\n"
+    (tmp_path / "receiver.py").write_text(code.replace("import numpy as np\n", f"import numpy as np\n{imports}", 1))
+    result = cogradar.run("smoke", front_end=f"{tmp_path}/receiver.py:Receiver", dwells=6)
+    assert [dwell.utc_s is None for dwell in result.dwells() if dwell.t] == [True, False, True, True, False, False]
+    expected = [datetime(2026, 9, 21, 14, 13, 20 + t) for t in range(1, 7)]
+    assert [time for time, _ in DwellDetectionReader(result.dwells())] == expected
+    found = tracks(result.dwells())
+    assert found
+    for track in found:
+        assert [state.timestamp for state in track] == expected[-len(track) :]
 
 
 def test_without_stone_soup_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stonesoup.base", None)
     monkeypatch.delitem(sys.modules, "cogradar.stonesoup")
-    with pytest.raises(cogradar.BadInput, match=r"pip install 'cogradar\[stonesoup\]'"):
-        import_module("cogradar.stonesoup")
+    for expected in (cogradar.BadInput, ImportError):
+        with pytest.raises(expected, match=r"pip install 'cogradar\[stonesoup\]'"):
+            import_module("cogradar.stonesoup")
+    with pytest.raises(pytest.skip.Exception):
+        pytest.importorskip("cogradar.stonesoup")

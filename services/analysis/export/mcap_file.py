@@ -16,7 +16,8 @@ from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import schemas
-from cogradar.services.analysis.export.scene import Layer, Rgb, attitude, layers, timed
+from cogradar.services.analysis.export.scene import Layer, Rgb, attitude, layers
+from cogradar.services.analysis.export.times import timed
 from cogradar.services.analysis.optional import library
 
 FRAME, MAP = "radar", "map"
@@ -53,14 +54,13 @@ def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
     Raises BadInput without the library `mcap`, or if no scan is stored.
     """
     writing = library("mcap.writer", "mcap", "mcap")
-    n, site = 0, result.scenario.site
+    n = 0
     with file.open("wb") as stream:
         writer = writing.Writer(stream)
         writer.start(profile="", library=f"cogradar {version('cogradar')}")
         writer.add_metadata("cogradar", _of_run(result))
         channels = dict[str, int]()
-        begin_s = None if site is None else site.begin_s
-        for at_s, dwell in timed(result.dwells(), begin_s, result.acquisition_scans):
+        for at_s, _, dwell in timed(result.dwells(), acquisition_scans=result.acquisition_scans):
             at_ns = round(1e9 * at_s)
             now = Moment(dwell, {"sec": at_ns // 10**9, "nsec": at_ns % 10**9}, layers(dwell))
             for topic in TOPICS:

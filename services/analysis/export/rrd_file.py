@@ -8,7 +8,8 @@ import numpy as np
 
 from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.result import Result
-from cogradar.services.analysis.export.scene import Layer, attitude, layers, timed
+from cogradar.services.analysis.export.scene import Layer, attitude, layers
+from cogradar.services.analysis.export.times import timed
 from cogradar.services.analysis.export.whole import as_os_error
 from cogradar.services.analysis.optional import library
 
@@ -24,9 +25,9 @@ def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
     Raises BadInput without the library `rerun-sdk`, or if no scan is stored.
     """
     rerun = library("rerun", "rerun", "rrd")
-    n, site = 0, result.scenario.site
+    n = 0
     recording = rerun.RecordingStream("cogradar", recording_id=result.run)
-    recording.save(file, default_blueprint=_views(has_map=site is not None))
+    recording.save(file, default_blueprint=_views(has_map=result.scenario.site is not None))
     try:
         of_run = {"strategy": str(result.strategy), "seed": str(result.seed), "digest": str(result.digest)}
         document = result.scenario.model_dump_json(indent=1)
@@ -36,13 +37,12 @@ def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
         recording.log("map", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         rotation = rerun.Quaternion(xyzw=attitude(result.scenario))
         recording.log("map/radar", rerun.Transform3D(quaternion=rotation), static=True)
-        begin_s = None if site is None else site.begin_s
-        for at_s, dwell in timed(result.dwells(), begin_s, result.acquisition_scans):
+        for at_s, is_utc, dwell in timed(result.dwells(), acquisition_scans=result.acquisition_scans):
             recording.set_time("dwell", sequence=dwell.k)
-            if begin_s is None and dwell.utc_s is None:
-                recording.set_time("time", duration=at_s)
-            else:
+            if is_utc:
                 recording.set_time("utc", timestamp=at_s)
+            else:
+                recording.set_time("time", duration=at_s)
             for path, archetype in _of_dwell(rerun, dwell):
                 recording.log(path, archetype)
             n += 1

@@ -3,7 +3,6 @@
 Coordinates are km in a frame with x along boresight, y to its right and z down.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -93,22 +92,3 @@ def attitude(scenario: Scenario) -> tuple[float, float, float, float]:
     bearing = 0.0 if scenario.site is None else scenario.site.boresight_deg
     half = np.radians(90.0 - bearing) / 2.0
     return float(np.cos(half)), float(np.sin(half)), 0.0, 0.0
-
-
-def timed(
-    dwells: Iterator[Dwell], begin_s: float | None, acquisition_scans: int | None
-) -> Iterator[tuple[float, Dwell]]:
-    """Dwells with their times, s since 1970 in UTC, ascending: as the front end says, else one interval after the last.
-
-    begin_s           : when dwell t = 0 is, as the site says; None: not said, and the first dwell is at 0 s
-    acquisition_scans : dwells up to t = 0
-    """
-    last_k, last_s = -1, None
-    for dwell in dwells:
-        dt_s = dwell.scenario.radar.motion.dt_s
-        if last_s is None:
-            before = 1 if acquisition_scans is None else acquisition_scans
-            last_s = max((begin_s or 0.0) - dt_s * before, -dt_s)  # of dwell k = -1
-        expected = last_s + dt_s * (dwell.k - last_k)
-        last_k, last_s = dwell.k, expected if dwell.utc_s is None else max(dwell.utc_s, last_s)
-        yield last_s, dwell
