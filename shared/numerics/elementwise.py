@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics import moduli
+from cogradar.shared.numerics.error_function import erfc
 from cogradar.shared.numerics.jit import inlined, kernel
 
 Floats = NDArray[np.float64]
@@ -186,7 +187,7 @@ def _fill(function: int, x: Floats, found: Floats) -> None:
         elif function == _ARCSIN:
             found[i] = math.asin(x[i]) if -1.0 <= x[i] <= 1.0 else math.nan
         elif function == _NDTR:
-            found[i] = 0.5 * math.erfc(-x[i] / math.sqrt(2.0))
+            found[i] = 0.5 * erfc(-x[i] / math.sqrt(2.0))
         elif function == _NDTRI:
             found[i] = _normal_quantile(x[i])
         elif function == _I0E:

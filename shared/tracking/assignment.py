@@ -12,13 +12,14 @@ echo may have drawn it aside.
 Symbols: p_ij probability that track i has its echo in the cell of detection j; sigma_nu that of a direction.
 """
 
-from math import erfc, log, pi, sqrt
+from math import log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import hypot
+from cogradar.shared.numerics.error_function import erfc
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.angle import apart
 from cogradar.shared.signal.looks import NEIGHBOURS

@@ -12,12 +12,13 @@ belief was wrong altogether and the target, wherever it was, is where the detect
 
 import math
 from functools import cache, cached_property
-from math import erf, erfc, exp, pi, sqrt
+from math import exp, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from cogradar.shared.numerics.elementwise import hypot, ndtri
+from cogradar.shared.numerics.error_function import erf, erfc
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import cholesky, dot, product, solve
 from cogradar.shared.scenario.limits import MIXTURE_STATES

@@ -1,5 +1,6 @@
 """Portable functions of arrays against NumPy's and SciPy's."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from cogradar.shared.numerics import elementwise
+from cogradar.shared.numerics import elementwise, error_function
 from cogradar.shared.numerics.quadrature import gauss_legendre
 from cogradar.shared.numerics.roots import root
 
@@ -41,6 +42,21 @@ def test_function_equals_the_library(
         np.testing.assert_allclose(portable(x), oracle(x), rtol=rtol, atol=1e-16)
     assert isinstance(portable(0.5), float)
     assert portable(np.full((2, 3), 0.5)).shape == (2, 3)
+
+
+@pytest.mark.parametrize("name", ["erf", "erfc"])
+def test_error_functions_are_those_of_the_c_library(name: str) -> None:
+    """To 2 ulp, at both sides of the bounds of the intervals, too."""
+    rng = np.random.default_rng(5)
+    bounds = np.array([0.0, 0.25, 0.84375, 1.25, 1.0 / 0.35, 2.0, 4.0, 6.0, 8.0, 16.0, 27.0])
+    near = np.concatenate((bounds, np.nextafter(bounds, 99.0), np.nextafter(bounds, -99.0)))
+    x = np.concatenate((near, -near, rng.uniform(-6.5, 26.0, 2000), rng.normal(size=2000), [1e-300, -1e-9]))
+    function, oracle = getattr(error_function, name), getattr(math, name)
+    for one in x.tolist():
+        expected = oracle(one)
+        assert abs(function(one) - expected) <= 2.0 * np.spacing(abs(expected)), one
+    assert [function(one) for one in (np.inf, -np.inf)] == [oracle(np.inf), oracle(-np.inf)]
+    assert np.isnan(function(np.nan))
 
 
 def test_powers_and_products_broadcast() -> None:
