@@ -169,8 +169,10 @@ def export(
             " run: everything (mcap, rrd); clip: a moving picture (gif). The first that the format can hold.",
         ),
     ] = None,
-    dwells: Annotated[str | None, typer.Option(help="Of a clip: first and last dwell, a:b.")] = None,
-    rate: Annotated[float, typer.Option(min=1.0, max=50.0, help="Of a clip: dwells a second.")] = 10.0,
+    dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b; of all formats.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=1.0, max=50.0, help="Of a clip: dwells a second; 10 if left out.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
     """Write a run into one file: a table, the whole run for a viewer, or a moving picture.
@@ -189,12 +191,12 @@ def export(
     from cogradar.services.metrics.selection import dwells_of
 
     with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
-        result = Result(StoredRun(ask, run_))
+        result, among = Result(StoredRun(ask, run_)), dwells_of(dwells or ":")
         if file == "-":
-            formats.send(result, sys.stdout.buffer, form, what)
+            formats.send(result, sys.stdout.buffer, form, what, formats.Options(among, rate))
             return
         with progress(err) as show:
-            how = formats.Options(dwells_of(dwells or ":"), rate, lambda n: show(f"{n} dwells written"))
+            how = formats.Options(among, rate, lambda n: show(f"{n} dwells written"))
             written = formats.write(result, Path(file), form, what, force=force, options=how)
         out.print(f"{file}: {result.run}, {written}", soft_wrap=True)
 

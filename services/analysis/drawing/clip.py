@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from cogradar.services.analysis.arrays.dwell_range import Dwells, check, is_among
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.looks import FAINT, INK, STYLE, Look, target_looks
 from cogradar.services.errors import BadInput
@@ -23,7 +24,6 @@ TRAIL = 40  # dwells
 LEADER_S = 60.0  # of flight, the line before a track
 SIZE_INCHES, DPI = (6.4, 3.8), 100
 LARGEST = 3000  # dwells of a clip, some 60 MB
-LATEST = 2**31  # later than any dwell
 RINGS = 5  # of range, at most
 
 
@@ -45,19 +45,13 @@ class _Tracks(NamedTuple):
         return cls(tracks.numbers.tolist(), tracks.estimates, tracks.confirmed, tracks.detections)
 
 
-def write(
-    result: Result, file: Path, dwells: tuple[int | None, int | None], rate_hz: float, report: Callable[[int], None]
-) -> int:
+def write(result: Result, file: Path, dwells: Dwells, rate_hz: float, report: Callable[[int], None]) -> int:
     """Draw dwells t, first and last, None: of the run, into a GIF, `rate_hz` of them a second; returns how many.
 
     `report` is told how many were drawn. Raises BadInput if there is none of these dwells, or too many.
     """
-    first, last = dwells[0] or 1, dwells[1] or LATEST
-    chosen = np.flatnonzero((result.t >= first) & (result.t <= last))
-    if not chosen.size:
-        there = f"{result.t[0]} to {result.t[-1]}" if result.t.size else "none yet"
-        asked = f"{dwells[0] or ''}:{dwells[1] or ''}"
-        raise BadInput(f"--dwells {asked}: {result.run} has no such dwell; there are {there}")
+    check(result, (dwells[0] or 1, dwells[1]))
+    chosen = np.flatnonzero(is_among(result.t, dwells))
     if chosen.size > LARGEST:
         raise BadInput(f"{chosen.size} dwells: a clip has {LARGEST} at most; --dwells A:B chooses some")
     with mpl.rc_context(STYLE):

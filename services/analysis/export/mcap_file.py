@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cogradar.services.analysis.arrays.dwell import Dwell
+from cogradar.services.analysis.arrays.dwell_range import ALL, Dwells, check, is_among
 from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import schemas
@@ -46,14 +47,21 @@ class Topic(NamedTuple):
     of: Callable[[Moment], Said]
 
 
-def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
+def write(
+    result: Result,
+    file: Path,
+    report: Callable[[int], object],
+    dwells: Dwells = ALL,
+) -> int:
     """Write a run; returns how many dwells. One dwell at a time is in memory, and an index of some bytes per MiB.
 
     report : told the number of dwells after each
+    dwells : t of the first and the last, None: of the run
 
-    Raises BadInput without the library `mcap`, or if no scan is stored.
+    Raises BadInput without the library `mcap`, if no scan is stored, or if there is none of the dwells.
     """
     writing = library("mcap.writer", "mcap", "mcap")
+    check(result, dwells)
     n = 0
     with file.open("wb") as stream:
         writer = writing.Writer(stream)
@@ -61,6 +69,8 @@ def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
         writer.add_metadata("cogradar", _of_run(result))
         channels = dict[str, int]()
         for at_s, _, dwell in timed(result.dwells(), acquisition_scans=result.acquisition_scans):
+            if not is_among(dwell.t, dwells):
+                continue
             at_ns = round(1e9 * at_s)
             now = Moment(dwell, {"sec": at_ns // 10**9, "nsec": at_ns % 10**9}, layers(dwell))
             for topic in TOPICS:

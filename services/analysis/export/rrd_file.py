@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cogradar.services.analysis.arrays.dwell import Dwell
+from cogradar.services.analysis.arrays.dwell_range import ALL, Dwells, check, is_among
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export.scene import Layer, attitude, layers
 from cogradar.services.analysis.export.times import timed
@@ -17,14 +18,21 @@ PLOTTED = ("share", "existence", "gain")  # columns of the tracks, curves over t
 
 
 @as_os_error()
-def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
+def write(
+    result: Result,
+    file: Path,
+    report: Callable[[int], object],
+    dwells: Dwells = ALL,
+) -> int:
     """Write a run; returns how many dwells. The SDK writes while dwells are logged, and keeps an index of the chunks.
 
     report : told the number of dwells after each
+    dwells : t of the first and the last, None: of the run
 
-    Raises BadInput without the library `rerun-sdk`, or if no scan is stored.
+    Raises BadInput without the library `rerun-sdk`, if no scan is stored, or if there is none of the dwells.
     """
     rerun = library("rerun", "rerun", "rrd")
+    check(result, dwells)
     n = 0
     recording = rerun.RecordingStream("cogradar", recording_id=result.run)
     recording.save(file, default_blueprint=_views(has_map=result.scenario.site is not None))
@@ -38,6 +46,8 @@ def write(result: Result, file: Path, report: Callable[[int], object]) -> int:
         rotation = rerun.Quaternion(xyzw=attitude(result.scenario))
         recording.log("map/radar", rerun.Transform3D(quaternion=rotation), static=True)
         for at_s, is_utc, dwell in timed(result.dwells(), acquisition_scans=result.acquisition_scans):
+            if not is_among(dwell.t, dwells):
+                continue
             recording.set_time("dwell", sequence=dwell.k)
             if is_utc:
                 recording.set_time("utc", timestamp=at_s)

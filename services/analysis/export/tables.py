@@ -4,12 +4,14 @@ States are called as everywhere: x, vx, y, vy in km and km/s, x_hat and so on; o
 names.
 """
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.services.analysis.arrays.dwell_range import ALL, Dwells, check, is_among
 from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.arrays.tracks import Tracks
@@ -30,12 +32,18 @@ FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 # What a run with announced tracks adds to the rows of its targets.
 NO_TRACKS = Tracks.of((), (), (), np.empty((0, 0)))
 UNITS = (("_km_s", "km/s"), ("_km2", "km2"), ("_km", "km"), ("_deg", "degree"), ("_db", "dB"), ("_s", "s"))  # by suffix
+# By name; g is not that of UDUNITS, in which it is the gram.
+NAMED = {"utc_s": "seconds since 1970-01-01", "acceleration_g": "standard_free_fall"}
 STATES = {"x": "km", "y": "km", "z": "km", "vx": "km/s", "vy": "km/s"}
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
 
 
 def unit_of(column: str) -> str | None:
     """Unit of a column, as its name says it; None: it has none, or it is not a physical quantity."""
+    if column in NAMED:
+        return NAMED[column]
+    if covariance := re.fullmatch(r"covariance_(\d)_(\d)", column):  # of [x, vx, y, vy]
+        return ("km2", "km2/s", "km2/s2")[sum(int(i) % 2 for i in covariance.groups())]
     by_suffix = (unit for suffix, unit in UNITS if column.endswith(suffix))
     return STATES.get(column.removesuffix("_hat")) or next(by_suffix, None)
 
@@ -149,6 +157,14 @@ TABLES: dict[str, Callable[[Result], Table]] = {
     "truth": _table_of(Result.truth),
     "waveforms": _table_of(Result.waveforms),
 }
+
+
+def rows_of(result: Result, what: str, dwells: Dwells = ALL) -> Table:
+    """A table of TABLES, of dwells t, first and last; None: of the run. Raises BadInput if there is no such dwell."""
+    check(result, dwells)
+    columns = TABLES[what](result)
+    chosen = is_among(columns["t"], dwells)
+    return columns if dwells == ALL else {name: values[chosen] for name, values in columns.items()}
 
 
 def _place(states: NDArray[np.float64], suffix: str, site: SiteSection | None) -> dict[str, Any]:

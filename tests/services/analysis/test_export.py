@@ -15,13 +15,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from mcap.reader import make_reader
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import formats
 from cogradar.services.analysis.export.formats import FORMATS, TEXTS, Format
-from cogradar.services.analysis.export.tables import OF_ALL, TABLES, table
+from cogradar.services.analysis.export.table_writers import write_netcdf
+from cogradar.services.analysis.export.tables import OF_ALL, TABLES, Table, table
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.emulator.front_end import ScanData, Transmission
@@ -255,6 +257,9 @@ def test_text_goes_to_standard_output_on_request(form: str, file: str, tmp_path:
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
+ANY = (["--out", "x.csv"], ["--out", "-", "--format", "csv"], ["--out", "x.mcap"])
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -265,6 +270,8 @@ def test_text_goes_to_standard_output_on_request(form: str, file: str, tmp_path:
         (["--out", "-"], "must be csv or json for --out -"),
         (["--out", "x.mcap", "--what", "tracks"], "--what tracks: mcap files hold run; use --format csv, json"),
         (["--out", "x.csv", "--what", "clip"], "--what clip: csv files hold tracks"),
+        *(([*to, "--dwells", "13:"], "has no such dwell; there are 1 to 12") for to in ANY),
+        *(([*to, "--rate", "5"], "--rate 5: has no effect on") for to in ANY),
     ],
 )
 def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, file: str, tmp_path: Path) -> None:
@@ -310,6 +317,30 @@ def test_every_table_can_be_written(what: str, file: str, tmp_path: Path) -> Non
         assert list(loaded) == list(expected)
         for name, values in expected.items():
             assert np.array_equal(loaded[name].to_numpy(), values, equal_nan=values.dtype.kind == "f"), name
+
+
+@pytest.mark.parametrize(("dwells", "chosen"), [("4:6", [4, 5, 6]), (":1", [0, 1]), ("12:", [12])])
+def test_some_dwells_are_written_in_every_format(dwells: str, chosen: list[int], file: str, tmp_path: Path) -> None:
+    _exported(file, tmp_path / "looks.csv", "--what", "looks", "--dwells", dwells)
+    assert sorted(set(_csv(tmp_path / "looks.csv")["t"])) == chosen
+    options = ["--format", "csv", "--what", "looks", "--dwells", dwells]
+    done = CliRunner().invoke(app, ["export", "--store", file, "--out", "-", *options])
+    assert done.stdout == (tmp_path / "looks.csv").read_text()
+    _exported(file, tmp_path / "run.mcap", "--dwells", dwells)
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        found = [json.loads(message.data)["t"] for *_, message in make_reader(stream).iter_messages(topics=["/looks"])]
+    assert sorted(set(found)) == chosen
+
+
+def test_units_are_as_xarray_and_udunits_have_them(tmp_path: Path) -> None:
+    columns: Table = {name: np.array([0.5, 1e9]) for name in ("utc_s", "acceleration_g", "nu")}
+    columns |= {f"covariance_{i}": np.ones(2) for i in ("0_2", "0_1", "3_1")}
+    write_netcdf(columns, tmp_path / "table.nc")
+    with xr.open_dataset(tmp_path / "table.nc") as loaded:
+        assert loaded["utc_s"].to_numpy()[1] == np.datetime64("2001-09-09T01:46:40")
+        units = {str(name): loaded[name].attrs.get("units") for name in loaded if name != "utc_s"}
+    squares = {"covariance_0_2": "km2", "covariance_0_1": "km2/s", "covariance_3_1": "km2/s2"}
+    assert units == {"acceleration_g": "standard_free_fall", "nu": None} | squares
 
 
 if shutil.which("octave-cli"):
