@@ -226,14 +226,16 @@ class Result:
 
     @cached_property
     def utc_s(self) -> Floats:
-        """When each dwell was, (T,), s since 1970 in UTC: as its front end says, else as the site; NaN: unknown."""
+        """When each dwell was, (T,), s since 1970 in UTC; NaN: unknown.
+
+        As the front end says, or, if it says no time in the whole run, as the site.
+        """
         begin_s = None if self.scenario.site is None else self.scenario.site.begin_s
-        found = np.full(len(self.t), np.nan) if begin_s is None else begin_s + self.times_s
-        places = {k: i for i, k in enumerate(self._scores[1].tolist())}
+        places, found = {k: i for i, k in enumerate(self._scores[1].tolist())}, np.full(len(self.t), np.nan)
         for scan in self._stored_of(Scan) if self.has_scans else ():
             if scan.utc_s is not None and scan.k in places:
                 found[places[scan.k]] = scan.utc_s
-        return found
+        return begin_s + self.times_s if begin_s is not None and np.isnan(found).all() else found
 
     @property
     def tested(self) -> Bools:

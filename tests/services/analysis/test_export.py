@@ -145,8 +145,17 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert result.picture.figures == picture
 
 
+SITE = [
+    "site.latitude_deg=48.0",
+    "site.longitude_deg=11.0",
+    "site.boresight_deg=90",
+    'site.begin_utc="2026-01-01T00:00:00Z"',
+]
+
+
+@pytest.mark.parametrize("site", [[], SITE])
 def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    site: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, transmit = str(tmp_path / "runs.db"), SimulatedFrontEnd.transmit
 
@@ -155,7 +164,7 @@ def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
 
     monkeypatch.setattr(SimulatedFrontEnd, "transmit", timed)
     store = Store(Journal(path))
-    in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 3), store=store)
+    in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
     found = table(result_of(path))["utc_s"]
     assert np.array_equal(found, [1e9 + 1, 1e9 + 1, np.nan, np.nan, 1e9 + 3, 1e9 + 3], equal_nan=True)
@@ -163,14 +172,8 @@ def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
 
 def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
-    site = [
-        "site.latitude_deg=48.0",
-        "site.longitude_deg=11.0",
-        "site.boresight_deg=90",
-        'site.begin_utc="2026-01-01T00:00:00Z"',
-    ]
     store = Store(Journal(path))
-    in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
+    in_process.play(RunStart.of(load("smoke", SITE), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
     columns = table(result_of(path))
     assert columns["utc_s"].tolist() == [1767225600.0 + t for t in (1, 1, 2, 2, 3, 3)]
