@@ -6,6 +6,7 @@
 // The first one is compiled and tested with cogradar. The second one needs zenoh-cpp and zenoh-c 1.x, which its tests do
 // not have: that part, at the end, is not compiled there.
 
+#include <atomic>
 #include <complex>
 #include <cstdint>
 #include <cstring>
@@ -94,22 +95,34 @@ struct Dwell {
     Array<std::complex<float>> factor;  // (N_TX, beams)
     Array<std::int32_t> bins;           // of each look, as all below
     Array<double> nus, limits;
-    Array<std::int32_t> first_cells, n_cells;
+    Array<std::int32_t> first_cells, n_cells, merged;
 };
 
+// A row of an answer, a cell of a look: range_km is the centre of its range cell, 0 if there are none; nu_hat is the
+// direction of the echo, that of the look if it was not measured, and then nu_sigma is 0.
 struct Cell {
     double statistic, sigma_hat, signature_power;
     std::complex<float> alpha_hat;
+    double range_km, nu_hat, nu_sigma;
 };
 
-// What the receiver measured in each look of a dwell. Here: nothing but noise.
+std::atomic<double> range_cell_km{0.0};  // of the radar that was opened last
+
+// What the receiver measured in each look of a dwell, the strongest of its range cells. Here: nothing but noise.
 std::vector<Cell> measured(const Dwell& dwell) {
-    return std::vector<Cell>(dwell.bins.values.size(), Cell{0.0, 1.0, dwell.isotropic * N_RX, {0.0f, 0.0f}});
+    std::vector<Cell> cells;
+    for (std::size_t i = 0; i < dwell.bins.values.size(); ++i) {
+        const double range_km = dwell.n_cells.values.at(i) ? (dwell.first_cells.values.at(i) + 0.5) * range_cell_km : 0.0;
+        cells.push_back({0.0, 1.0, dwell.isotropic * N_RX, {0.0f, 0.0f}, range_km, dwell.nus.values.at(i), 0.0});
+    }
+    return cells;
 }
 
 Bytes answer_opening(const Bytes& question) {
     auto message = msgpack::unpack(reinterpret_cast<const char*>(question.data()), question.size());
     auto opening = body_of(message, "opening");
+    using Table = std::map<std::string, msgpack::object>;
+    range_cell_km = opening.at("radar").as<Table>().at("receiver").as<Table>().at("range_cell_km").as<double>();
     msgpack::sbuffer out;
     Packer to(out);
     begin(to, "hello", 7);
@@ -136,36 +149,60 @@ Bytes answer_dwell(const Bytes& question) {
                       array_in<double>(asked.at("nus")),
                       array_in<double>(asked.at("limits")),
                       array_in<std::int32_t>(asked.at("first_cells")),
-                      array_in<std::int32_t>(asked.at("n_cells"))};
-    std::vector<double> statistic, sigma_hat, signature_power;
+                      array_in<std::int32_t>(asked.at("n_cells")),
+                      array_in<std::int32_t>(asked.at("merged"))};
+    const std::vector<Cell> cells = measured(dwell);
+    const auto bin_of = [&dwell](std::size_t i) { return dwell.bins.values.at(i); };
+    std::map<std::int32_t, std::size_t> strongest;  // of the merged looks of a bin, of which one is reported
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+        if (!dwell.merged.values.at(i)) continue;
+        const auto found = strongest.emplace(bin_of(i), i).first;
+        if (cells[i].statistic > cells[found->second].statistic) found->second = i;
+    }
+    std::vector<std::int32_t> bins;
+    std::vector<double> statistic, sigma_hat, signature_power, nus, limits, ranges_km, nu_hats, nu_sigmas;
     std::vector<std::complex<float>> alpha_hat;
-    for (const Cell& cell : measured(dwell)) {
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+        if (dwell.merged.values.at(i) && strongest.at(bin_of(i)) != i) continue;
+        const Cell& cell = cells[i];
+        bins.push_back(bin_of(i));
+        nus.push_back(dwell.nus.values.at(i));
+        limits.push_back(dwell.limits.values.at(i));
         statistic.push_back(cell.statistic);
         sigma_hat.push_back(cell.sigma_hat);
         signature_power.push_back(cell.signature_power);
         alpha_hat.push_back(cell.alpha_hat);
+        ranges_km.push_back(cell.range_km);
+        nu_hats.push_back(cell.nu_hat);
+        nu_sigmas.push_back(cell.nu_sigma);
     }
     msgpack::sbuffer out;
     Packer to(out);
-    begin(to, "received", 8);
+    begin(to, "received", 13);
     put_one(to, "run", dwell.run);
     put_one(to, "incarnation", incarnation());
     put_one(to, "k", dwell.k);
-    put(to, "bins", dwell.bins.values);
+    put(to, "bins", bins);
     put(to, "statistic", statistic);
     put(to, "alpha_hat", alpha_hat);
     put(to, "sigma_hat", sigma_hat);
     put(to, "signature_power", signature_power);
+    put(to, "nus", nus);
+    put(to, "limits", limits);
+    put(to, "ranges_km", ranges_km);
+    put(to, "nu_hats", nu_hats);
+    put(to, "nu_sigmas", nu_sigmas);
     return Bytes(out.data(), out.data() + out.size());
 }
 
 #ifndef WITH_ZENOH
 
 int main(int n, char** words) {
-    const std::string which = n == 2 ? words[1] : "";
+    const std::string which = n >= 2 ? words[1] : "";
     const Bytes question{std::istreambuf_iterator<char>(std::cin), {}};
     try {
-        if (which != "opening" && which != "dwell") throw std::runtime_error("front_end opening|dwell");
+        if (n > 3 || (which != "opening" && which != "dwell")) throw std::runtime_error("front_end opening|dwell [RANGE_CELL_KM]");
+        if (n == 3) range_cell_km = std::stod(words[2]);
         const Bytes answer = which == "opening" ? answer_opening(question) : answer_dwell(question);
         std::cout.write(reinterpret_cast<const char*>(answer.data()), static_cast<std::streamsize>(answer.size()));
     } catch (const std::exception& error) {

@@ -148,18 +148,19 @@ class ForeignFrontEnd:
     def _measured(self, received: Received, data: bytes | None, waveform: Transmission) -> ScanData | None:
         if received.ended:
             return None
-        if received.fault is not None:
-            return ScanData.not_measured(f"{self._name}: {received.fault}")
-        if (received.utc_s is not None) != (self._hello.clock == "utc"):
+        has_time = received.utc_s is not None
+        if received.fault is not None and (self._hello.clock == "utc" or not has_time):
+            return replace(ScanData.not_measured(f"{self._name}: {received.fault}"), utc_s=received.utc_s)
+        if has_time != (self._hello.clock == "utc"):
             raise SenselessScan(f"utc_s = {received.utc_s}, though the Hello says clock = {self._hello.clock!r}")
         if self._hello.hands_over == "data":
-            measured = receive(self._by_cell(received, data), waveform, self._settings.radar)
+            measured = receive(self._by_cell(received, data, waveform), waveform, self._settings.radar)
         else:
             measured = _of_looks(received)
         return replace(measured, utc_s=received.utc_s)
 
     def _by_cell(
-        self, received: Received, data: bytes | None
+        self, received: Received, data: bytes | None, waveform: Transmission
     ) -> NDArray[np.complex128] | dict[int, NDArray[np.complex128]]:
         """Y of each range cell, or of all ranges. Raises SenselessScan."""
         n_tx, n_rx = self._hello.n_tx, self._hello.n_rx
@@ -171,6 +172,9 @@ class ForeignFrontEnd:
         cells = [0] if received.range_cells is None else received.range_cells.tolist()
         if len(set(cells)) < len(cells):
             raise SenselessScan("range_cells must all be different")
+        is_reference = self._settings.radar.receiver.noise == "range-cells"  # any other range cell is one
+        if has_cells and (unasked := set(cells) - set(waveform.range_cells)) and (min(unasked) < 0 or not is_reference):
+            raise SenselessScan(f"range_cells: {min(unasked)} was not asked for")
         if len(data) != (needed := 8 * len(cells) * n_tx * n_rx):
             shape = f"({len(cells)}, {n_tx}, {n_rx})"
             raise SenselessScan(f"Y of {len(data)} bytes: {shape} complex64 are {needed}")

@@ -162,13 +162,15 @@ def receive(
            `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there.
            A look without any data is left out, and a track's look without the data of one of its range cells. A look
            at all ranges reports what was received, and `lost_km` what was not. Detections change nothing of this.
-    Raises SenselessScan if data have another shape.
+    Raises SenselessScan if data have another shape, or a range cell a number that none has.
     """
     array, width_km = radar.array, radar.receiver.range_cell_km
     by_cell = data if isinstance(data, Mapping) else {NO_RANGE: data}
     signatures, processing = Signatures(waveform.isotropic, waveform.factor, array.n_rx), Processing.of(radar.receiver)
     signatures.prepare([look.nu for look in waveform.looks])
     asked = set(waveform.range_cells)
+    if width_km > 0.0 and (lowest := min(by_cell, default=0)) < 0:
+        raise SenselessScan(f"data of range cell {lowest}: a dictionary by numbers from 0 is needed")
     known = sorted(asked & by_cell.keys())
 
     @lru_cache(KEPT)

@@ -18,6 +18,7 @@ from cogradar.services.emulator.front_end import (
     FrontEndError,
     OpenFrontEnd,
     ScanData,
+    SenselessScan,
     Settings,
     Transmission,
     receive,
@@ -281,6 +282,29 @@ def test_what_comes_late_or_of_a_second_front_end_is_not_used(caplog: pytest.Log
     assert front_end.transmit(5, 1, ASKED) is None
     front_end.close()
     assert line.is_closed
+
+
+def test_a_fault_keeps_its_time() -> None:
+    line = FakeLine(_hello(clock="utc"))
+    line.replies = [_fault(utc_s=1e9)]
+    measured = _opened(line).transmit(5, 1, ASKED)
+    assert measured is not None
+    assert (measured.fault, measured.utc_s) == ("roof: dark", 1e9)
+
+
+@pytest.mark.parametrize("extra", [[-1], [-2147483648], [5000], [2147483647]])
+def test_a_range_cell_that_was_not_asked_for_is_named(extra: list[int]) -> None:
+    begun = checkpoint(_without_world(_start("radar.fidelity=best-range")))
+    asked = transmission(RadarConfig.model_validate(begun.radar), None)
+    line = FakeLine(_hello(run="r", hands_over="data"))
+    front_end = ForeignFrontEnd.open(NAME, Settings.of(begun), begun.radar, line, 1.0)
+    cells = np.array([*asked.range_cells[1:], *extra], np.int32)
+    received = Received(run="r", incarnation="first", k=0, range_cells=cells)
+    line.replies = [Reply(received, data=_y(0, cells.size).tobytes())]
+    with pytest.raises(SenselessScan, match=f"range_cells: {extra[0]} was not asked for"):
+        front_end.transmit(0, 0, asked)
+    with pytest.raises(SenselessScan, match="data of range cell -2: a dictionary by numbers from 0 is needed"):
+        receive({-2: _y(0, 1)[0].astype(np.complex128)}, asked, RadarConfig.model_validate(begun.radar))
 
 
 def test_a_slow_front_end_has_the_time_that_it_says_up_to_a_period() -> None:
