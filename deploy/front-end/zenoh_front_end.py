@@ -122,7 +122,8 @@ class FrontEnd:
             query.reply_err(f"run {dwell['run']} is not open".encode())
             return
         y = self._worlds[dwell["run"]].receive(dwell)
-        query.reply(query.key_expr, self._payload(y.astype("<c8").tobytes()), attachment=pack("received", received))
+        y, attachment = self._payload(y.astype("<c8").tobytes()), pack("received", received)
+        query.reply(query.key_expr, y, encoding="application/octet-stream", attachment=attachment)
 
     def _payload(self, y):
         """In memory that a radar on this machine maps, if that was asked for; a receiver would write there itself."""

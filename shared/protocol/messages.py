@@ -148,9 +148,7 @@ class Checkpoint(_Settings):
 class EmulatorCheckpoint(Checkpoint):
     """A checkpoint with what only the emulator may know: recorder -> emulator."""
 
-    world: (
-        dict[str, Any] | None
-    )  # complete: [world] of a scenario; none: a real front end has no configuration of the world
+    world: dict[str, Any] | None  # complete: [world] of a scenario; none: a real front end, which has no such table
     world_seed: Seed
 
     @field_validator("world")

@@ -210,13 +210,14 @@ class Exchange(Queryable):
 
     question: type[Message]
     answer: type[Message]
+    has_data: bool = False  # the answer may be the attachment of Y, which then is the payload
 
     @classmethod
-    def of(cls, end: str, question: type[Message], answer: type[Message]) -> Self:
+    def of(cls, end: str, question: type[Message], answer: type[Message], *, has_data: bool = False) -> Self:
         """The exchange whose key has this end."""
         meaning = f"a front end in any language: {question.__name__} in, {answer.__name__} out"
         key = f"{_ROOT}/front-end/{{name}}/{end}"
-        return cls(key, (FRONT_END,), encoding_of(answer), meaning, question, answer)
+        return cls(key, (FRONT_END,), encoding_of(answer), meaning, question, answer, has_data)
 
     def key_of(self, name: str) -> str:
         """Key of a front end's queryable."""
@@ -225,7 +226,7 @@ class Exchange(Queryable):
 
 FRONT_END_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,47}"
 OPENING = Exchange.of("opening", Opening, Hello)
-DWELL = Exchange.of("dwell", Transmit, Received)
+DWELL = Exchange.of("dwell", Transmit, Received, has_data=True)
 EXCHANGES = (OPENING, DWELL)
 
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process

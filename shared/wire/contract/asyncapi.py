@@ -19,9 +19,11 @@ from cogradar.shared.protocol.topics import (
 )
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT
 from cogradar.shared.wire.contract.json_schema import described, envelope
+from cogradar.shared.wire.front_ends.line import MAX_DATA
 from cogradar.shared.wire.zenoh_bus import QUALITY
 
 Document = dict[str, Any]
+DATA = "data"  # an answer whose payload is no message
 _SHARED = "#/components/schemas/{model}"
 TOKENS = {
     "alive": (ALIVE, "Liveliness token of a process."),
@@ -55,6 +57,8 @@ def document() -> Document:
             shared |= parts | more
             asked, answered = _of_message(queryable.question, question), _of_message(queryable.answer, answer)
         messages |= {f"{name}.question": asked, f"{name}.answer": answered}
+        if isinstance(queryable, Exchange) and queryable.has_data:
+            messages[f"{name}.{DATA}"] = _of_data(f"{name}.answer")
         channels[name] = _of_queryable(queryable)
         operations |= _of_answerers(queryable)
     channels |= {name: _of_token(key, text) for name, (key, text) in TOKENS.items()}
@@ -82,6 +86,15 @@ def document() -> Document:
 def _of_message(kind: type[Message], body: Document) -> Document:
     summary = (kind.__doc__ or "").strip().splitlines()[0]
     return {"contentType": encoding_of(kind), "summary": summary, "payload": envelope(kind, body)}
+
+
+def _of_data(answer: str) -> Document:
+    return {
+        "contentType": "application/octet-stream",
+        "summary": "Y, complex64 little-endian, row by row, (range cells, n_tx, n_rx); the answer is its attachment.",
+        "payload": {"type": "string", "format": "binary"},
+        "x-zenoh": {"attachment": {"$ref": f"#/components/messages/{answer}"}, "maxBytes": MAX_DATA},
+    }
 
 
 def _of_topic(topic: Topic) -> Document:
@@ -112,11 +125,15 @@ def _of_queryable(queryable: Queryable) -> Document:
     name = _name(queryable.key)
     return {
         **_addressed(queryable.key),
-        "messages": {kind: {"$ref": f"#/components/messages/{name}.{kind}"} for kind in ("question", "answer")},
+        "messages": {
+            kind: {"$ref": f"#/components/messages/{name}.{kind}"} for kind in ("question", *_answers(queryable))
+        },
         "x-zenoh": {
             "kind": "queryable",
             "expression": expression(queryable.key),
             "mayAsk": list(holders(Act.ASK, expression(queryable.key))),
+            "mayAnswer": list(queryable.answerers),
+            **({"maxBytes": MAX_BYTES} if isinstance(queryable, Exchange) else {}),
             "refusal": "text/plain",
         },
     }
@@ -149,7 +166,10 @@ def _of_roles(topic: Topic) -> dict[str, Document]:
 def _of_answerers(queryable: Queryable) -> dict[str, Document]:
     name = _name(queryable.key)
     channel = {"$ref": f"#/channels/{name}"}
-    question, answer = ([{"$ref": f"#/channels/{name}/messages/{kind}"}] for kind in ("question", "answer"))
+    question, answer = (
+        [{"$ref": f"#/channels/{name}/messages/{kind}"} for kind in kinds]
+        for kinds in (("question",), _answers(queryable))
+    )
     return {
         f"{role}.answers.{name}": {
             "action": "receive",
@@ -160,6 +180,11 @@ def _of_answerers(queryable: Queryable) -> dict[str, Document]:
         }
         for role in queryable.answerers
     }
+
+
+def _answers(queryable: Queryable) -> tuple[str, ...]:
+    """Kinds of its answers."""
+    return ("answer", DATA) if isinstance(queryable, Exchange) and queryable.has_data else ("answer",)
 
 
 def _addressed(key: str) -> Document:
