@@ -21,8 +21,10 @@ from cogradar.services.emulator.front_end import (
     Transmission,
     receive,
 )
+from cogradar.shared.protocol.fields import MAX_SIDE
 from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
+from cogradar.shared.signal.looks import n_range_cells
 from cogradar.shared.wire.front_ends.line import Line, Reply
 
 PATIENCE_S = 10.0  # in lockstep, which has no deadlines: for any answer, and for a front end that is started again
@@ -231,6 +233,12 @@ def _check(name: str, settings: Settings, hello: Hello) -> None:
         raise FrontEndError(
             f"{name}: its array is {hello.n_tx} x {hello.n_rx}, the scenario's radar.array.n_tx x n_rx is"
             f" {array.n_tx} x {array.n_rx}: set these as the front end has them, or start another one"
+        )
+    width_km, ranges_km = settings.radar.receiver.range_cell_km, settings.radar.acquisition.ranges_km
+    if (n_cell := n_range_cells(*ranges_km, width_km)) > MAX_SIDE:
+        raise FrontEndError(
+            f"{name}: radar.receiver.range_cell_km = {width_km:g} makes {n_cell} range cells, a front end over Zenoh"
+            f" may be asked for {MAX_SIDE} at most: set a larger one, or a smaller radar.acquisition.range_max_km"
         )
     if settings.rate_hz > hello.max_rate_hz:
         raise FrontEndError(

@@ -284,6 +284,14 @@ def test_what_comes_late_or_of_a_second_front_end_is_not_used(caplog: pytest.Log
     assert line.is_closed
 
 
+def test_more_range_cells_than_a_question_has_are_refused_at_the_opening() -> None:
+    begun = checkpoint(_without_world(_start("radar.fidelity=best-range", "radar.receiver.range_cell_km=0.01")))
+    line = FakeLine(_hello(run="r"))
+    said = r"roof: radar.receiver.range_cell_km = 0.01 makes \d+ range cells, .* 4096 at most: set a larger one"
+    with pytest.raises(FrontEndError, match=said):
+        ForeignFrontEnd.open(NAME, Settings.of(begun), begun.radar, line, 1.0)
+
+
 def test_a_fault_keeps_its_time() -> None:
     line = FakeLine(_hello(clock="utc"))
     line.replies = [_fault(utc_s=1e9)]
