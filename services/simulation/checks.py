@@ -1,8 +1,10 @@
 """What must hold of a schedule, whatever its faults: in lockstep the same run, in real time what a radar promises."""
 
 import hashlib
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +12,15 @@ import numpy as np
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.messages import Checkpoint, Message, RunStart, Waveform
+from cogradar.shared.protocol.messages import ABSENT, Checkpoint, Message, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.wire.codec import decode
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
+RECOVERED_S = 5.0  # after the last fault
+LEAST_DWELLS = 10  # in which it is looked at
+LEAST_IN_TIME, LEAST_P_D = 0.9, 0.5
 SLACK = 0.2  # of a period that a dwell may come later than it is due
 _OF_RUN = "SELECT status, reason, digest, acknowledged_k, acknowledged_t, acquisition_scans, conflicts FROM run"
 
@@ -99,6 +106,30 @@ def check_pace(start: RunStart, radiated: Iterable[Dwell], quiet_s: float) -> No
     for before, after in pairwise(times):
         if before >= quiet_s and after - before > period_s * (1.0 + SLACK):
             raise Violated(f"{start.run}: nothing was radiated from {before:.3f} to {after:.3f} s")
+
+
+def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
+    """In real time plans are in time again, some time after the last fault, and targets are seen. Raises Violated."""
+    first_k = math.ceil((quiet_s + RECOVERED_S) * start.rate_hz)
+    in_time, seen = list[bool](), list[bool]()
+    for _, found in groupby(journal.dwells(start.run, ("scan", "truth", "waveform"), from_k=first_k), itemgetter(0)):
+        by_type = {type(message): message for message in (decode(payload) for _, _, payload in found)}
+        match by_type.get(Waveform), by_type.get(Scan), by_type.get(Truth):
+            case Waveform() as sent, Scan() as scan, Truth() as truth:
+                in_time += (sent.late == 0).tolist()
+                p_fa = float(start.scenario["radar"]["detector"]["p_fa"])
+                limits = threshold(p_fa) if scan.limits is None else scan.limits
+                bins = np.asarray(scan.bins)[scan.statistic >= limits]
+                seen += [bool((np.abs(bins - bin_) <= 1).any()) for bin_ in truth.bins[truth.bins != ABSENT]]
+            case _:
+                pass
+    if len(seen) < LEAST_DWELLS:
+        return
+    share = float(np.mean(in_time or [False]))
+    if share < LEAST_IN_TIME:
+        raise Violated(f"{start.run}: from dwell {first_k} on {share:.0%} of the plans are in time")
+    if np.mean(seen) < LEAST_P_D:
+        raise Violated(f"{start.run}: from dwell {first_k} on targets are seen in {np.mean(seen):.0%} of the dwells")
 
 
 def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:

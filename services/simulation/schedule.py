@@ -28,9 +28,10 @@ from cogradar.shared.protocol.orders import (
 )
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
-SCHEDULE = -1  # index of the generator that draws a schedule; those of its faults have their place in the list
+SCHEDULE = -1  # index of the generators that draw a schedule; those of its faults have their place in the list
 RATE_HZ = 10.0  # of runs in real time
 DWELLS = 8
+LONG_DWELLS, LONG = 150, 0.01  # of this share of the schedules in real time, in which all must be well again at the end
 MOST_FAULTS = 8
 LEASE_S = 1.0  # after which the token of a frozen process is gone
 COMMANDED, MOST_COMMANDS = 0.3, 4  # share of the schedules in lockstep with commands, and how many one has
@@ -38,6 +39,7 @@ AHEAD_DWELLS = 2  # of such a run before the journal, so that a command takes ef
 RUN_SEEDS = 4  # worlds of each sky
 _LOCKSTEP_S = 0.08  # an undisturbed run is over by then
 _LATE_S, _LONGEST_S = 4.0, 4.0
+_FOREVER = 0.3  # share of the planners that hang or freeze, but the first one, that never go on
 
 
 class Kind(StrEnum):
@@ -83,7 +85,7 @@ _AMOUNTS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault, from when to when in simulated time."""
+    """One fault, from when to when in simulated time; until infinity if it never ends."""
 
     kind: Kind
     at_s: float
@@ -92,6 +94,11 @@ class Fault:
     whom: str = ""
     amount: float = 0.0
     n: int = 0  # its place in the list that was drawn: key of its random numbers
+
+    @property
+    def settled_s(self) -> float:
+        """When it is over; of one that never is, when it begins."""
+        return self.until_s if self.until_s < math.inf else self.at_s
 
     def __str__(self) -> str:
         whom = f" to {self.whom}" if self.whom else ""
@@ -126,12 +133,14 @@ class Schedule:
     prepares: bool  # processes prepare for what comes next while they are idle
     faults: tuple[Fault, ...]
     commands: tuple[Asked, ...] = ()
+    dwells: int = DWELLS
 
     @classmethod
     def draw(cls, seed: int) -> Self:
         """The schedule of a seed."""
         rng = generator(seed, Purpose.FAULT, SCHEDULE, 0)
         rate_hz = RATE_HZ if rng.random() < 0.3 else 0.0
+        is_long = rate_hz > 0.0 and generator(seed, Purpose.FAULT, SCHEDULE, 1).random() < LONG
         made = cls(
             seed=seed,
             sky=("known", "unknown")[int(rng.random() < 0.4)],
@@ -143,6 +152,7 @@ class Schedule:
             snapshot_dwells=(2, 4, 256)[rng.integers(3)],
             prepares=bool(rng.random() < 0.25),
             faults=(),
+            dwells=LONG_DWELLS if is_long else DWELLS,
         )
         faulty = replace(made, faults=made._faults(rng))
         is_commanded = not rate_hz and rng.random() < COMMANDED
@@ -160,8 +170,8 @@ class Schedule:
 
     @property
     def quiet_s(self) -> float:
-        """When the last fault is over."""
-        return max((fault.until_s for fault in self.faults), default=0.0)
+        """When the last fault is over, or goes on for ever."""
+        return max((fault.settled_s for fault in self.faults), default=0.0)
 
     def plain(self, commands: tuple[Asked, ...] = ()) -> Self:
         """The same run undisturbed, by one planner, under these commands."""
@@ -221,6 +231,9 @@ class Schedule:
             who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
         if kind is Kind.SUCCESSOR:
             length_s += LEASE_S  # else it has none
+        is_one_of_many = who.startswith("planner") and who != "planner-0"
+        if kind in {Kind.HANG, Kind.FREEZE} and is_one_of_many and rng.random() < _FOREVER:
+            length_s = math.inf
         low_high = _AMOUNTS.get(kind)
         amount = _between(rng, *low_high) if low_high else 0.0
         return Fault(kind, at_s, at_s + length_s, who, whom, amount, n)

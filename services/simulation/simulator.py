@@ -1,5 +1,6 @@
 """One schedule from its beginning to its end: the faults come and go, and then everything must come right."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from cogradar.services.simulation.checks import (
     check_journal,
     check_pace,
     check_power,
+    check_recovered,
     check_waveforms,
     fingerprint,
 )
@@ -103,7 +105,8 @@ class Simulator:
         cluster.ask(self._starts, self._commands)
         for fault in self._schedule.faults:
             cluster.at(fault.at_s, partial(self._begin, fault))
-            cluster.at(fault.until_s, partial(self._end, fault))
+            if fault.until_s < math.inf:
+                cluster.at(fault.until_s, partial(self._end, fault))
         try:
             self._let_run()
             found = self._check()
@@ -146,9 +149,11 @@ class Simulator:
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
         if schedule.pacing.has_deadlines:
-            own = [fault.until_s for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
+            at_radar = [fault for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
+            own = [fault.settled_s for fault in at_radar]
             for start in starts:
                 check_pace(start, self._radiated, max(own, default=0.0))
+                check_recovered(self._journal, start, schedule.quiet_s)
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given())))
         return found

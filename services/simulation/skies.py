@@ -18,13 +18,13 @@ _SMALL = ("radar.belief.n_particle=60", "radar.planner.n_sim=20", "radar.belief.
 def starts_of(schedule: Schedule) -> list[RunStart]:
     """The runs of a schedule, each with a world of its own."""
     seeds = [schedule.run_seed + i for i in range(schedule.runs)]
-    return [start_of(schedule.sky, seed, schedule.rate_hz) for seed in seeds]
+    return [start_of(schedule.sky, seed, schedule.rate_hz, schedule.dwells) for seed in seeds]
 
 
 @cache
-def start_of(sky: str, seed: int, rate_hz: float) -> RunStart:
+def start_of(sky: str, seed: int, rate_hz: float, dwells: int = DWELLS) -> RunStart:
     """A run of a sky, always of the same name: owners of tracks depend on it."""
-    start = RunStart.of(_scenario(sky), Strategy.POWER_AWARE, seed, DWELLS, rate_hz)
+    start = RunStart.of(_scenario(sky), Strategy.POWER_AWARE, seed, dwells, rate_hz)
     return start.model_copy(update={"run": f"{sky}-{seed}"})
 
 

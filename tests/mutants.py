@@ -1,0 +1,336 @@
+"""Faults planted in the program, and how many schedules the simulator needs to find each: `python -m tests.mutants`.
+
+A planted fault is one replacement in the source of one module. It is made while the module is imported, in a process of
+its own; no file is changed. The fault is found by the first schedule that is violated, which without it holds.
+"""
+
+import argparse
+import importlib.machinery
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cogradar.services.analysis.tables import write_into
+
+SCHEDULES = 2000
+REMEMBERED = 30_000  # results
+SAID = 150  # characters of what is violated
+FIRST = 1_000_000_000  # seed: none that is played elsewhere
+
+
+class Mutant(NamedTuple):
+    """A fault that can be planted."""
+
+    name: str
+    module: str  # file, from the root
+    old: str
+    new: str
+    harmless: str = ""  # why no run can be another with it; "": it must be found
+
+
+RECORDER, RUN, JOURNAL = (
+    "services/recorder/core.py",
+    "services/recorder/recorded_run.py",
+    "services/recorder/journal.py",
+)
+PLANNER, PLANNED, HELD = "services/planner/core.py", "services/planner/run.py", "services/planner/held_tracks.py"
+ALLOCATOR, EMULATOR = "services/allocator/core.py", "services/emulator/core.py"
+PACING, RESEND = "services/delivery/pacing.py", "services/delivery/resend.py"
+
+MUTANTS = (
+    # Recorder and journal.
+    Mutant(
+        "a checkpoint is sent before its transaction is committed",
+        RECORDER,
+        "        self._journal.commit()\n        self._uncommitted_ticks = 0",
+        "        self._uncommitted_ticks = 0",
+    ),
+    Mutant(
+        "a dwell is complete without its waveform",
+        RUN,
+        "has_truth and dwell.has_waveform and is_all_planned",
+        "has_truth and is_all_planned",
+    ),
+    Mutant("a dwell is complete without its truth", RUN, "dwell.has_truth or not self._has_truth", "True"),
+    Mutant(
+        "the recorder never asks for anything again",
+        RUN,
+        "        start, (k, t) = self.start, self.acknowledged\n",
+        "        start, (k, t), resend = self.start, self.acknowledged, False\n",
+    ),
+    Mutant(
+        "a recorder that comes back begins unfinished runs at the next dwell",
+        RECORDER,
+        'run = RecordedRun(start, row["k"], row["t"]',
+        'run = RecordedRun(start, row["k"] + 1, row["t"]',
+    ),
+    Mutant(
+        "the first message of a dwell is overwritten by a later one",
+        JOURNAL,
+        "INSERT OR IGNORE INTO message VALUES",
+        "INSERT OR REPLACE INTO message VALUES",
+        harmless="a second one has the same bytes",
+    ),
+    Mutant(
+        "snapshots of dwells that are not acknowledged are kept",
+        RECORDER,
+        "if snapshot.k >= run.acknowledged[0]:",
+        "if snapshot.k >= run.acknowledged[0] + 999:",
+        harmless="planners send none of them",
+    ),
+    Mutant(
+        "an older snapshot replaces a newer one",
+        JOURNAL,
+        "payload = excluded.payload WHERE excluded.k > k",
+        "payload = excluded.payload",
+        harmless="a new owner observes more scans, and is where it would be",
+    ),
+    Mutant(
+        "messages before their run begins are dropped by the recorder",
+        RECORDER,
+        "                self._pending.add(message)\n            return ()",
+        "                pass\n            return ()",
+        harmless="they are asked for again",
+    ),
+    Mutant(
+        "a deposed recorder goes on",
+        RECORDER,
+        "if heard.epoch > journal.epoch:",
+        "if False:",
+        harmless="the look for a higher epoch inside each transaction ends it",
+    ),
+    Mutant(
+        "epochs are not looked at inside a transaction",
+        "services/recorder/file/database.py",
+        "if self.epoch and (newest := self._newest()).epoch > self.epoch:",
+        "if (newest := self._newest()).epoch < 0:",
+    ),
+    Mutant("overdue plans are never named", RUN, '"overdue": list(self._overdue)', '"overdue": []'),
+    Mutant(
+        "an order is told of from the next checkpoint on only",
+        RECORDER,
+        "return [*answers, *run.checkpoint()]",
+        "return answers",
+        harmless="no dwell that it shapes is answered before a later checkpoint, which says it, too",
+    ),
+    # Planners.
+    Mutant(
+        "the death of a planner is not noticed",
+        PLANNER,
+        "self._workers = tuple(sorted(there))",
+        "self._workers = tuple(sorted({*there, *self._workers}))",
+    ),
+    Mutant(
+        "no track is taken from a planner that brings no plans",
+        PLANNER,
+        "if not overdue or self._now_s <",
+        "if True or self._now_s <",
+    ),
+    Mutant(
+        "searches go on with the random numbers of the one before",
+        "services/planner/decision.py",
+        "rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)",
+        'rng = globals().setdefault("_rng", generator(model.seed, Purpose.SEARCH, 0, 0))',
+    ),
+    Mutant(
+        "a track that is restored lacks a dwell",
+        PLANNED,
+        "state_of(snapshot), self._newest",
+        "state_of(snapshot)._replace(k=snapshot.k + 2), self._newest",
+    ),
+    Mutant("plans are not kept to be sent again", PLANNED, "self.resend.add(plan.k, (plan,))", "pass"),
+    Mutant("a planner keeps tracks that another one has taken", PLANNED, "self._held.leave(said)", "pass"),
+    Mutant(
+        "missing scans are not asked for",
+        PLANNED,
+        "lacking = {m: self._next_k(m) for m in self._held.all if self._recall.may_ask(m)}",
+        "lacking: dict[int, int] = {}",
+    ),
+    Mutant(
+        "a planner that joins never plans in real time",
+        PLANNED,
+        "if track is not None and track.k > self._newest and",
+        "if False and",
+    ),
+    Mutant(
+        "every plan in real time is seven bins off",
+        PLANNED,
+        "        if self._model.existence.is_over(state, max(",
+        "        if self._pacing.has_deadlines:\n"
+        "            seven_off = (decision.bins + 7) % self.radar.array.n_bin\n"
+        "            decision = type(decision)(**vars(decision) | {'bins': seven_off})\n"
+        "        if self._model.existence.is_over(state, max(",
+    ),
+    # Allocator.
+    Mutant(
+        "the allocator is deaf to plans in real time",
+        ALLOCATOR,
+        "    run.tracks.note(plan)\n",
+        "    if run.pacing.has_deadlines:\n        return ()\n    run.tracks.note(plan)\n",
+    ),
+    Mutant(
+        "a waveform is made before all plans are there",
+        ALLOCATOR,
+        "len(plans) >= len(ids) and plans.keys() >= ids",
+        "len(plans) >= len(ids) - 1",
+    ),
+    Mutant(
+        "a rewound allocator keeps what it knew",
+        ALLOCATOR,
+        "if run is not None and not run.resend.is_rewound_by(checkpoint):",
+        "if run is not None:",
+    ),
+    Mutant(
+        "the allocator never hears of orders",
+        ALLOCATOR,
+        "            run.orders = checkpoint.orders\n",
+        "            pass\n",
+    ),
+    Mutant(
+        "the allocator answers twice as late in real time",
+        ALLOCATOR,
+        "run.due_s, run.wait_s = now_s + run.wait_s, None",
+        "run.due_s, run.wait_s = now_s + 20.0 * run.wait_s, None",
+    ),
+    # Emulator.
+    Mutant(
+        "the emulator runs further ahead than it may",
+        PACING,
+        "return ahead < MAX_AHEAD_DWELLS\n\n    def first_open",
+        "return True\n\n    def first_open",
+    ),
+    Mutant(
+        "a repeated waveform replaces the first one",
+        EMULATOR,
+        "run.waveforms.setdefault(waveform.k, waveform)",
+        "run.waveforms[waveform.k] = waveform",
+    ),
+    Mutant(
+        "the emulator does not recall its last waveform",
+        EMULATOR,
+        "return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()",
+        "return ()",
+    ),
+    Mutant(
+        "an emulator that comes back begins at dwell 0",
+        EMULATOR,
+        "            k=checkpoint.k,\n            t=checkpoint.t,",
+        "            k=0,\n            t=0,",
+    ),
+    Mutant(
+        "overdue dwells are made up for in real time",
+        PACING,
+        "(now_s if now_s >= due_s + self.period_s else due_s) + self.period_s",
+        "due_s + self.period_s",
+    ),
+    Mutant(
+        "a limit of power is not kept by the emulator",
+        EMULATOR,
+        "return limited(transmission(run.radar, waveform), most)",
+        "return transmission(run.radar, waveform)",
+    ),
+    # Delivery.
+    Mutant(
+        "what is asked for again is sent from the second dwell on",
+        RESEND,
+        "for dwell in sorted(self._sent) for",
+        "for dwell in sorted(self._sent)[1:] for",
+    ),
+    Mutant("a rewound run is not noticed", RESEND, "return checkpoint.k < self.k and", "return False and"),
+    Mutant(
+        "planners disagree on the owner of a track",
+        "services/planner/ownership.py",
+        'f"{run}/{target}/{w}".encode()',
+        'f"{run}/{target}/{w}/{len(workers)}".encode()',
+    ),
+)
+
+
+def planted(mutant: Mutant, text: str) -> str:
+    """The source with the fault in it. Raises ValueError unless its place is there, once."""
+    if (n := text.count(mutant.old)) != 1:
+        raise ValueError(f"{mutant.module} has {mutant.old!r} {n} times")
+    return text.replace(mutant.old, mutant.new)
+
+
+def _plant(mutant: Mutant) -> None:
+    """Let this process compile the mutant in place of the module."""
+    path = (Path(__file__).parents[1] / mutant.module).resolve()
+    compile_source: Callable[..., Any] = importlib.machinery.SourceFileLoader.source_to_code
+
+    def get_code(self: Any, fullname: str) -> Any:
+        file = self.get_filename(fullname)
+        if Path(file).resolve() != path:
+            return usual(self, fullname)
+        return compile_source(self, planted(mutant, path.read_text(encoding="utf-8")), file)
+
+    usual: Callable[..., Any] = importlib.machinery.SourceFileLoader.get_code
+    importlib.machinery.SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
+
+
+def play(mutant: Mutant | None, schedules: int) -> tuple[int, str]:
+    """The number of the first schedule that is violated, and what is; 0 if none is."""
+    if mutant is not None:
+        _plant(mutant)
+    simulation = "cogradar.services.simulation."
+    memory, schedule, simulator = (import_module(simulation + name) for name in ("memory", "schedule", "simulator"))
+    with memory.remembering(REMEMBERED):
+        for n in range(schedules):
+            if violation := simulator.play(schedule.Schedule.draw(FIRST + n)).violation:
+                return n + 1, str(violation)
+    return 0, ""
+
+
+def _in_a_process(mutant: Mutant, schedules: int) -> tuple[int, str]:
+    command = [sys.executable, "-m", "tests.mutants", "--play", mutant.name, "--schedules", str(schedules)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{mutant.name}: {done.stderr}")
+    found, violation = json.loads(done.stdout.splitlines()[-1])
+    return found, violation
+
+
+def _row(mutant: Mutant, n: int, schedules: int, violation: str) -> str:
+    said = violation.splitlines()[0][:SAID].replace("|", "/") if violation else mutant.harmless
+    return f"| {mutant.name} | {n or f'not in {schedules}'} | {said} |"
+
+
+def main() -> int:
+    """Print a row for each planted fault; 1 if one is not found that should be, or one is found that should not."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="only those whose name has one of these words")
+    parser.add_argument("--schedules", type=int, default=SCHEDULES)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--into", type=Path, metavar="PAGE", help="write the table there, between <!-- planted -->")
+    parser.add_argument("--play", metavar="NAME", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.play:
+        print(json.dumps(play(next(one for one in MUTANTS if one.name == asked.play), asked.schedules)))
+        return 0
+    chosen = [one for one in MUTANTS if not asked.names or any(word in one.name for word in asked.names)]
+    rows, wrong, n_found = list[str](), 0, 0
+    with ThreadPoolExecutor(asked.workers) as pool:
+        outcomes = pool.map(lambda one: _in_a_process(one, asked.schedules), chosen)
+        for mutant, (n, violation) in zip(chosen, outcomes, strict=True):
+            wrong += bool(n) == bool(mutant.harmless)
+            n_found += bool(n)
+            rows.append(_row(mutant, n, asked.schedules, violation))
+            print(rows[-1], flush=True)
+    harmless = sum(bool(one.harmless) for one in chosen)
+    said = f"{n_found} of {len(chosen) - harmless} planted faults were found, {harmless} change no run"
+    print(f"{said}; {wrong} are not as expected")
+    if asked.into:
+        table = ["| planted fault | schedules | what is violated, or why nothing is |", "|---|---:|---|", *rows]
+        write_into(asked.into, {"planted": ["\n".join(table), f"{said} ({datetime.now(UTC):%Y-%m-%d})."]})
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
