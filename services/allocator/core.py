@@ -53,9 +53,10 @@ class _Run:
         """The first dwell for which a plan is still useful."""
         return self.pacing.first_open(self.k, self.resend.k)
 
-    def expect(self, k: int, periods: float) -> None:
-        """The waveform of dwell k is due so many periods from now."""
-        self.k, self.wait_s, self.due_s = k, self.pacing.wait_s(periods), None
+    def expect(self, k: int, periods: float | None) -> None:
+        """The waveform of dwell k is due so many periods from now; None: once there is a plan."""
+        self.k, self.due_s = k, None
+        self.wait_s = None if periods is None else self.pacing.wait_s(periods)
 
     def give_up(self, run: str, error: PluginFailed) -> Sequence[Message]:
         """Make no more waveforms: the strategy or objective of somebody's own failed, and would again."""
@@ -230,5 +231,8 @@ def _answer(run: _Run, k: int) -> Sequence[Message]:
     run.newest = {plan.target: plan for plan in update.plans} | {m: p for m, p in run.newest.items() if p.k > k}
     if run.pacing.loses_dwells:
         run.forget(k + 1)
-    run.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in update.plans) else AFTER_COASTING)
+    due = AFTER_WAVEFORM if any(plan.k == k for plan in update.plans) else AFTER_COASTING
+    # While targets are acquired there is nothing to extrapolate, and a dwell in which nothing was measured is none: the
+    # radar repeats it, and an allocator that went on by the clock would be ahead of it.
+    run.expect(k + 1, due if answer.tracking else None)
     return run.resend.add(k, (answer,))

@@ -67,7 +67,7 @@ class OpensForeign:
         try:
             line = Line(self._name, self._endpoints, within_s, self._check)
         except ConnectionError as error:
-            raise FrontEndError(f"{self._name}: {error}") from None
+            raise FrontEndError(f"{self._name}: {error}; start the front end first") from None
         try:
             return ForeignFrontEnd.open(self._name, settings, checkpoint.radar, line, within_s)
         except BaseException:

@@ -86,6 +86,24 @@ def test_in_real_time_a_lower_checkpoint_changes_nothing() -> None:
     assert answer.k == 3
 
 
+def test_in_real_time_the_acquisition_waits_for_the_radar() -> None:
+    """A front end that measures nothing repeats a dwell: no waveform is made by the clock until its plans come."""
+    core, start = AllocatorCore(), smoke_start().model_copy(update={"rate_hz": 4.0})
+    core.handle(checkpoint(start))
+    core.handle(Tick(0.0))
+    for k in range(3):
+        core.handle(_searching(0, k=k))
+        (answer,) = core.handle(_searching(1, k=k))
+        assert isinstance(answer, Waveform)
+        assert (answer.k, answer.tracking) == (k, False)
+        assert not any(core.handle(Tick(10.0 * k + i)) for i in range(1, 10))
+    core.handle(_plan(0, k=3))
+    core.handle(Tick(40.0))
+    (late,) = core.handle(Tick(40.2))  # one of its plans is lost
+    assert isinstance(late, Waveform)
+    assert late.k == 3
+
+
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_an_estimate_at_the_very_edge_can_be_extrapolated(strategy: Strategy) -> None:
     """A plan may claim any state that its message allows; one planner that does must not end the allocator."""
