@@ -123,6 +123,9 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "in_doubt": False,
     },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},
+}
+# What the emulator and a front end ask and answer: of no topic.
+EXCHANGED: dict[type[Message], dict[str, Any]] = {
     Opening: {"radar": SMOKE["radar"], "dwells": 12, "rate_hz": 10.0},
     Hello: {
         "incarnation": "0f1e2d3c",
@@ -163,7 +166,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
 
 def sample(kind: type[Message], **changed: Any) -> Message:
     """A valid message with arrays of its own, some fields changed."""
-    return kind(**{"run": RUN, **deepcopy(FIELDS[kind]), **changed})
+    return kind(**{"run": RUN, **deepcopy((FIELDS | EXCHANGED)[kind]), **changed})
 
 
 def digest(messages: Iterable[Message]) -> str:

@@ -117,6 +117,7 @@ def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_pa
         readers.end()
 
 
+@pytest.mark.nightly
 @pytest.mark.zenoh
 @pytest.mark.parametrize("role", [Role.ALLOCATOR, Role.EMULATOR])
 def test_so_does_one_that_transmits_or_allocates(role: Role, tmp_path: Path) -> None:

@@ -75,6 +75,7 @@ def test_equal_antennas_lose_little_and_no_less_than_proven(monkeypatch: pytest.
     assert "| 12 | 4 |" in markdown(antennas.table([row]))
 
 
+@pytest.mark.nightly
 def test_a_jammer_blinds_lags_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jammer, "DWELLS", 4)
     monkeypatch.setattr(jammer, "JNRS_DB", (20.0,))

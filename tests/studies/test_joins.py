@@ -34,6 +34,7 @@ def test_the_longest_dwells_are_told_in_medians_of_those_before() -> None:
     assert_shown_whole([joins.table([found])])
 
 
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_planners_join_a_run_and_take_their_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels.compile_all(lambda _: None)
@@ -45,6 +46,7 @@ def test_planners_join_a_run_and_take_their_tracks(monkeypatch: pytest.MonkeyPat
     assert found.moved > 0.3
 
 
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_a_run_that_is_over_before_is_no_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels.compile_all(lambda _: None)

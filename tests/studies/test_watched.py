@@ -13,6 +13,7 @@ from studies.http_clients import KINDS
 PAIRS, DWELLS = 1, 150
 
 
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_clients_are_served_and_frozen_ones_end_no_run() -> None:
     kernels.compile_all(lambda _: None)

@@ -143,6 +143,7 @@ def test_the_frame_turns_boresight_to_its_bearing(result: cogradar.Result) -> No
     assert right == pytest.approx([np.cos(bearing), -np.sin(bearing), 0.0], abs=1e-12)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_longer_run_needs_no_more_memory(tmp_path: Path) -> None:
     played = cogradar.run("smoke", dwells=40)

@@ -74,6 +74,7 @@ def _planner(launcher: Launcher, folder: Path) -> Iterator[subprocess.Popen[byte
             process.terminate()
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.zenoh
 def test_a_run_goes_on_while_certificates_are_replaced_and_revoked(

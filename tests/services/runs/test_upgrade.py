@@ -72,6 +72,7 @@ def _run(store: Path) -> dict[str, Any]:
     return {"acknowledged_k": -1}
 
 
+@pytest.mark.nightly
 def test_a_run_goes_on_with_another_build_to_the_same_digest(tmp_path: Path) -> None:
     kernels.compile_all(lambda _: None)
     endpoint, store, stop = f"tcp/127.0.0.1:{free_port()}", tmp_path / "store.db", threading.Event()

@@ -16,7 +16,7 @@ def test_a_planted_fault_has_its_place_and_is_a_program(mutant: Mutant) -> None:
     assert ast.dump(ast.parse(planted(mutant, source))) != ast.dump(ast.parse(source))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "outcome"), [("begins unfinished runs at the next dwell", 0), ("as late", 1)])
 def test_a_planted_fault_is_found(
     name: str, outcome: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -11,13 +11,13 @@ from cogradar.shared.protocol.messages import MAX_FAULT, Message, Plan, RunEnd, 
 from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode, fields
-from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
+from tests.samples import BEAMS, BINS, EXCHANGED, FIELDS, ROW, SMOKE, asked, plan, sample
 
 I4, C8 = np.int32, np.complex64
 ZEROS = np.zeros((2, 2))
 
 
-@pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", FIELDS | EXCHANGED, ids=lambda kind: kind.__name__)
 def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) -> None:
     message = sample(kind)
     with pytest.raises(ValidationError, match="frozen"):
@@ -131,7 +131,7 @@ def test_acquisition_has_no_beams() -> None:
     assert Plan(run="r", k=0, t=0, target=0, status="searching").bins.size == 0
 
 
-@pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", FIELDS | EXCHANGED, ids=lambda kind: kind.__name__)
 def test_equal_messages_are_equal_and_hash_alike(kind: type[Message]) -> None:
     assert sample(kind) == sample(kind)
     assert hash(sample(kind)) == hash(sample(kind))
