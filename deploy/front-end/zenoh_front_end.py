@@ -3,8 +3,9 @@
     python zenoh_front_end.py roof --listen tcp/127.0.0.1:7448
     cogradar run mine.toml --front-end zenoh:roof@tcp/127.0.0.1:7448
 
-Two aircraft fly straight in white noise. For real hardware replace `World`. What is asked is explained in
-docs/howto/front-end.md, the bytes in docs/reference/wire.md.
+Two aircraft fly straight in white noise. For real hardware replace `World`; paper_world.py beside this file has another
+one, which tests the cells itself. What is asked is explained in docs/howto/front-end.md, the bytes in
+docs/reference/wire.md.
 """
 
 import argparse
@@ -51,6 +52,8 @@ def _unpacked(_code, data):
 class World:
     """What the array receives: echoes of the targets, and noise of power 1 in each element of Y."""
 
+    hands_over = "data"
+
     def __init__(self, opening, seed):
         """What the radar is, as its scenario says."""
         radar = opening["radar"]
@@ -84,8 +87,8 @@ class World:
 class FrontEnd:
     """Answers the questions of a radar, of one run at a time."""
 
-    def __init__(self, session, name, seed, shared_mb):
-        self._incarnation, self._seed, self._worlds = secrets.token_hex(8), seed, {}
+    def __init__(self, session, name, begin, shared_mb):
+        self._incarnation, self._begin, self._worlds = secrets.token_hex(8), begin, {}
         self._most = shared_mb << 20
         self._memory = zenoh.shm.ShmProvider.default_backend(self._most) if shared_mb else None
         key = f"cogradar/{PROTOCOL}/front-end/{name}"
@@ -107,22 +110,25 @@ class FrontEnd:
 
     def _open(self, query, opening):
         """A run begins, or goes on."""
-        world = World(opening, self._seed)
+        world = self._begin(opening)
         self._worlds = {opening["run"]: world}
         hello = {"run": opening["run"], "incarnation": self._incarnation, "n_tx": world.n_tx, "n_rx": world.n_rx}
-        hello |= {"hands_over": "data", "max_rate_hz": 100.0, "clock": "none", "site": "an example"}
+        hello |= {"hands_over": world.hands_over, "max_rate_hz": 100.0, "clock": "none", "site": "an example"}
         query.reply(query.key_expr, pack("hello", hello), encoding="application/msgpack")
 
     def _transmit(self, query, dwell):
-        """Y as the payload, the message as its attachment."""
+        """Looks as a message; or Y as the payload, the message as its attachment."""
         received = {"run": dwell["run"], "incarnation": self._incarnation, "k": dwell["k"]}
         if dwell["range_cells"].size:
             received["range_cells"] = dwell["range_cells"]
         if dwell["run"] not in self._worlds:  # another run was opened since, or this process is a new one
             query.reply_err(f"run {dwell['run']} is not open".encode())
             return
-        y = self._worlds[dwell["run"]].receive(dwell)
-        y, attachment = self._payload(y.astype("<c8").tobytes()), pack("received", received)
+        measured = self._worlds[dwell["run"]].receive(dwell)
+        if isinstance(measured, dict):
+            query.reply(query.key_expr, pack("received", received | measured), encoding="application/msgpack")
+            return
+        y, attachment = self._payload(measured.astype("<c8").tobytes()), pack("received", received)
         query.reply(query.key_expr, y, encoding="application/octet-stream", attachment=attachment)
 
     def _payload(self, y):
@@ -137,8 +143,8 @@ class FrontEnd:
         return zenoh.ZBytes(buffer)
 
 
-def main():
-    """Be there until the process is ended."""
+def serve(world):
+    """Be there until the process is ended; `world` makes what a run meets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("name", help="behind zenoh: of --front-end")
     parser.add_argument("--listen", help="where the radar connects to, such as tcp/127.0.0.1:7448")
@@ -161,11 +167,11 @@ def main():
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config) as session:
-        front_end = FrontEnd(session, given.name, given.seed, given.shared_memory)
+        front_end = FrontEnd(session, given.name, lambda opening: world(opening, given.seed), given.shared_memory)
         logging.info("front end %s is there", given.name)
         threading.Event().wait()
         del front_end
 
 
 if __name__ == "__main__":
-    main()
+    serve(World)

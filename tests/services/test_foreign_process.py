@@ -1,4 +1,4 @@
-"""The front end of deploy/front-end as a process of its own: killed and started again while the radar goes on."""
+"""The front ends of deploy/front-end as processes of their own: killed and started again; the same run as simulated."""
 
 import subprocess
 import sys
@@ -15,26 +15,28 @@ import zenoh
 from cogradar.services import kernels
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
 from cogradar.services.runs.continuity import continuity
 from cogradar.shared.protocol.front_ends.messages import Opening, Transmit
 from cogradar.shared.protocol.messages import RunStart, Scan, roster_of
 from cogradar.shared.protocol.topics import DWELL, OPENING, Exchange
 from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.session import free_port, open_session
 from tests.samples import sample
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCENARIO = (REPOSITORY / "deploy/scenarios/smoke.toml").read_text(encoding="utf-8")
-EXAMPLE = REPOSITORY / "deploy/front-end/zenoh_front_end.py"
+EXAMPLES = REPOSITORY / "deploy/front-end"
 RATE_HZ = 5
 BEFORE, BETWEEN = 30, 20  # dwells: until the first kill, and from one to the next
 
 
 @contextmanager
-def _front_end(endpoint: str, *options: str) -> Iterator[None]:
+def _front_end(endpoint: str, *options: str, example: str = "zenoh_front_end.py") -> Iterator[None]:
     """The process, until it is killed."""
-    command = [sys.executable, str(EXAMPLE), "roof", "--listen", endpoint, *options]
+    command = [sys.executable, str(EXAMPLES / example), "roof", "--listen", endpoint, *options]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None
@@ -89,6 +91,18 @@ def test_each_run_has_its_answers_or_is_told_to_open_again(megabytes: str) -> No
         refused = ask(DWELL, _asked("a")).err
         assert refused is not None
         assert refused.payload.to_string() == "run a is not open"
+
+
+@pytest.mark.parametrize(
+    ("seed", "dwells"), [(3, 5), *(pytest.param(seed, 300, marks=pytest.mark.nightly) for seed in (1, 2, 3))]
+)
+def test_the_world_of_paper_has_one_digest_in_numpy_and_simulated(seed: int, dwells: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    start = RunStart.of(load("paper"), Strategy.POWER_AWARE, seed, dwells)
+    with _front_end(endpoint, "--seed", str(seed), example="paper_world.py"):
+        no_world = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+        foreign = in_process.play(no_world, front_end=f"zenoh:roof@{endpoint}")
+    assert foreign.run["digest"] == in_process.play(start).run["digest"]
 
 
 @pytest.mark.slow
