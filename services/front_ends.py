@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
+from cogradar.services.emulator.aside import Check, OpensAside
 from cogradar.services.emulator.foreign import OpensForeign
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from cogradar.services.emulator.own_thread import OpensInOwnThread
@@ -34,7 +35,7 @@ _ZENOH = "zenoh:"
 def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lambda: None) -> OpenFrontEnd:
     """What opens the front end of this name for a run. Raises BadInput if there is none.
 
-    connect : endpoints of the system's router, comma-separated; empty: there is none that others know
+    connect : endpoints of the system's router, comma-separated; empty: there is none that others know, nor another run
     check   : raises Interrupted when the process is to end, while a front end in another process is waited for
     """
     if name == SIMULATED:
@@ -67,7 +68,11 @@ def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFront
             f"{name}: no front end can know the router of this run: say where it listens, as in"
             f" {_ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
         )
-    return OpensForeign(called, endpoints.split(","), check)
+
+    def opens(check: Check) -> OpenFrontEnd:
+        return OpensForeign(called, endpoints.split(","), check)
+
+    return OpensAside(opens, check) if connect else opens(check)
 
 
 def _recorded(name: str) -> OpenFrontEnd:

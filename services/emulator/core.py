@@ -14,6 +14,7 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
 from cogradar.services.delivery.pending import Pending, decoded
 from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.services.emulator.aside import StillWaiting
 from cogradar.services.emulator.cycle import (
     check_waveform,
     compared,
@@ -42,6 +43,7 @@ from cogradar.shared.signal.scan import Detections, Strongest
 from cogradar.shared.wire.meter import Measures
 
 PAUSED = "transmission is paused"
+LOOK_S = 0.02  # lockstep: from a look for the answer of a front end that is asked aside to the next
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 MAX_REASON = 500  # characters of a RunEnd's reason
 
@@ -67,6 +69,7 @@ class _Run:
     say_s: float = 0.0  # ... and when the next one may be
     orders: Sequence[Order] = ()  # as the last checkpoint says
     awaits_first_waveform: bool = False  # of a run that begins, whose number of tracks is unknown
+    awaits_answer: bool = False  # in lockstep: its front end is asked for dwell k, and others go on meanwhile
 
     @property
     def is_ticking(self) -> bool:
@@ -92,11 +95,13 @@ class EmulatorCore:
         self._runs: dict[str, _Run] = {}
         self._pending = Pending()
         self._inactivity = Inactivity()
+        self._ticked_s = 0.0
 
     @property
     def wake_s(self) -> float | None:
-        """When the next dwell of a run in real time is due."""
+        """When the next dwell of a run in real time is due, or an answer is looked for."""
         due = [run.due_s for run in self._runs.values() if run.is_ticking and run.due_s is not None]
+        due += [self._ticked_s + LOOK_S for run in self._runs.values() if run.awaits_answer]
         return min(due, default=None)
 
     @property
@@ -123,6 +128,7 @@ class EmulatorCore:
             case Waveform():
                 self._pending.add(event)
             case Tick():
+                self._ticked_s = event.now_s
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
                 self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
                 return answers + [m for run in self._runs.values() for m in run.resend.again(drained=event.drained)]
@@ -234,7 +240,8 @@ def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
 def _missing(run: _Run) -> Sequence[Message]:
     """The recall of the next waveform, if the journal has it already and we do not."""
     any_will_do = run.pacing.has_deadlines and run.waveforms
-    lacks = not run.over and 0 < run.k <= run.resend.k and not any_will_do
+    is_here = any_will_do or run.k - 1 in run.waveforms
+    lacks = not run.over and 0 < run.k <= run.resend.k and not is_here
     return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()
 
 
@@ -242,15 +249,24 @@ def _go_on(run: _Run) -> Sequence[Message]:
     """In lockstep: transmit as far as waveforms are there and the recorder keeps up."""
     answers: list[Message] = []
     while not run.over and run.pacing.may_transmit(run.k - run.resend.k):
-        waveform = run.waveforms.pop(run.k - 1, None)
+        before = run.k - 1
+        waveform = run.waveforms.get(before)
         if waveform is None and run.k > 0:
             break
-        answers += _next_dwell(run, waveform, 0.0)
+        try:
+            answers += _next_dwell(run, waveform, 0.0)
+        except StillWaiting:
+            run.awaits_answer = True
+            return answers
+        run.waveforms.pop(before, None)
+    run.awaits_answer = False
     return answers
 
 
 def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     """In real time: transmit when it is due, with the newest waveform there is."""
+    if run.awaits_answer:
+        return _go_on(run)
     due_s = run.pacing.next_due_s(run.due_s, now_s)
     if run.over or due_s is None:
         return ()

@@ -8,6 +8,7 @@ import logging
 from dataclasses import dataclass
 
 from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.emulator.aside import CannotOpen, StillWaiting
 from cogradar.services.emulator.front_end import (
     FrontEnd,
     FrontEndError,
@@ -60,6 +61,7 @@ class KeptOpen:
         self.fault = ""  # why nothing was measured in the last dwell; "": something was
         self._reopen(0.0, checkpoint.k, checkpoint.t)
         self._ends = self.fault if checkpoint.k == 0 else ""
+        self._k, self._tries = checkpoint.k, 0  # dwell, and attempts at it that failed
 
     def prepare(self) -> bool:
         """Let it prepare the next dwell, if it can; false if there is nothing left to do."""
@@ -85,27 +87,32 @@ class KeptOpen:
         """Transmit dwell k and measure, as far as there is a front end; None: there are no more dwells.
 
         clock : t of the dwell before, and of this one
-        Raises FrontEndError if the run cannot go on.
+        Raises FrontEndError if the run cannot go on, and StillWaiting if the same call has to be made again.
         """
         if self._ends:
             raise FrontEndError(self._ends)
         self._begin(now_s)
-        for _ in range(ATTEMPTS):
+        if k != self._k:
+            self._k, self._tries = k, 0
+        while self._tries < ATTEMPTS:
             if self._open is None and now_s >= self._retry_s:
                 self.is_down = True
                 self._reopen(now_s, k, clock[0])
             if self._open is not None:
                 try:
                     return self._open.transmit(k, clock[1], asked)
-                except Interrupted:  # the user's wish, not the front end's fault
+                except (Interrupted, StillWaiting):  # the user's wish, or time that passes: not the front end's fault
                     raise
                 except SenselessScan as error:
                     return self.refuse(str(error), now_s)
-                except Exception as error:  # noqa: BLE001 - somebody else's front end may raise anything
+                except Exception as error:
                     self._fail(error, now_s)
+                    if k == self._tries == 0 and isinstance(error, CannotOpen):
+                        raise FrontEndError(self.fault) from error
             if self._pacing.has_deadlines:
                 self._tell("failed", now_s)
                 return ScanData.not_measured(self.fault)
+            self._tries += 1
         raise FrontEndError(f"{self.fault}; tried {ATTEMPTS} times")
 
     def _begin(self, now_s: float) -> None:

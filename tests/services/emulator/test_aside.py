@@ -1,0 +1,106 @@
+"""A front end that is asked aside: while it is silent other runs go on, and its own run can be cancelled."""
+
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+
+from cogradar.services.emulator import foreign
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.front_ends import open_front_end
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.front_ends.messages import Transmit
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, RunEnd, Scan
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.session import free_port
+from tests.services.loop import checkpoint, play, smoke_start, waveforms
+from tests.zenoh_device import NAME, Answer, Device, simulated
+
+START = smoke_start(dwells=3)
+
+
+def _begin(run: str, **flags: int) -> EmulatorCheckpoint:
+    return checkpoint(START.model_copy(update={"run": run, "scenario": START.scenario | {"world": None}}), **flags)
+
+
+@contextmanager
+def _emulator(endpoint: str) -> Iterator[EmulatorCore]:
+    """As a service has it, beside others."""
+    core = EmulatorCore(open_front_end(f"zenoh:{NAME}@{endpoint}", connect="tcp/a.router:7447"))
+    with closing(core):
+        yield core
+
+
+def _ticked(core: EmulatorCore, within_s: float) -> list[Message]:
+    """What it says at ticks, up to the first message."""
+    deadline = time.monotonic() + within_s
+    while (now := time.monotonic()) < deadline:
+        if answers := list(core.handle(Tick(now, True))):
+            return answers
+        wake_s = core.wake_s
+        assert wake_s is not None
+        time.sleep(max(0.0, wake_s - time.monotonic()))
+    raise AssertionError(f"nothing within {within_s} s")
+
+
+def test_other_runs_go_on_and_the_run_of_a_silent_front_end_can_be_cancelled() -> None:
+    answers = simulated(checkpoint(START))
+
+    def answer(device: Device, asked: Transmit) -> Answer | None:
+        return answers(device, asked) if asked.run == "b" else None
+
+    with Device(answer) as device, _emulator(device.endpoint) as core:
+        began = time.monotonic()
+        assert list(core.handle(_begin("a"))) == []
+        first = list(core.handle(_begin("b"))) or _ticked(core, 2.0)
+        assert [(type(message), message.run) for message in first] == [(Scan, "b")]
+        before_s = core.wake_s
+        core.handle(_begin("a", ended=True))
+        after_s = core.wake_s
+        assert before_s is not None
+        assert after_s is None
+        assert time.monotonic() - began < 2.0
+        time.sleep(0.2)  # in which its thread ends
+        asked = sum(one.run == "a" for one in device.asked)
+        assert asked > 0
+        time.sleep(0.7)  # it would have been asked again after 10, 40, 160 and 640 ms
+        assert sum(one.run == "a" for one in device.asked) == asked
+
+
+def test_a_slow_front_end_is_asked_once_a_dwell_and_the_run_is_the_same() -> None:
+    expected = play(START)
+    answers = simulated(checkpoint(START))
+
+    def answer(device: Device, asked: Transmit) -> Answer:
+        time.sleep(0.12)
+        return answers(device, asked)
+
+    with Device(answer) as device, _emulator(device.endpoint) as core:
+        said = list(core.handle(_begin("r"))) or _ticked(core, 5.0)
+        for waveform in waveforms(expected):
+            said += core.handle(waveform) or _ticked(core, 5.0)
+            core.handle(waveform)  # again
+    loop = [encode(one) for one in expected if isinstance(one, Scan | RunEnd)]
+    assert [encode(one) for one in said] == loop
+    assert len(device.asked) == sum(isinstance(one, Scan) for one in expected)
+
+
+@pytest.mark.parametrize(
+    ("listens", "said"),
+    [
+        (True, "front end: roof: no answer within 0.3 s; tried 5 times"),
+        (False, "front end: roof: "),  # a run that begins ends with the first opening
+    ],
+)
+def test_a_run_ends_as_it_does_where_the_emulator_waits(
+    listens: bool, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foreign, "PATIENCE_S", 0.3)
+    with Device(lambda _device, _asked: None) as device:
+        endpoint = device.endpoint if listens else f"tcp/127.0.0.1:{free_port()}"
+        with _emulator(endpoint) as core:
+            (end,) = list(core.handle(_begin("r"))) or _ticked(core, 10.0)
+    assert isinstance(end, RunEnd)
+    assert end.reason.startswith(said)
+    assert listens == ("tried" in end.reason)
