@@ -69,6 +69,7 @@ class Aside:
             front_end = self._opened.result()
         except FrontEndError as error:
             raise CannotOpen(str(error)) from error
+        self._check()
         return front_end.transmit(k, t, waveform)
 
     def _close(self) -> None:
