@@ -74,12 +74,13 @@ nightly: setup ## what takes too long for every change: the nightly tests, make 
 	@mkdir -p $(dir $(SIMULATED))
 	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)
 
-lint: setup ## style, types and import rules
+lint: setup ## style, types, import rules, and what is published for other languages
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/codespell
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/python -m tests.contract
 
 docs: setup ## the documentation site, into build/site; a warning is an error
 	$(BIN)/python -m sphinx -b html --fail-on-warning --quiet --jobs auto docs build/site
