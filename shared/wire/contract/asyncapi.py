@@ -42,8 +42,8 @@ def document() -> Document:
     shared: dict[str, Document] = {}
     for topic in TOPICS:
         body, parts = described(topic.message, _SHARED)
-        shared |= parts
-        messages[topic.name] = _of_message(topic.message, body)
+        shared |= {topic.message.__name__: body} | parts
+        messages[topic.name] = _of_message(topic.message)
         channels[topic.name] = _of_topic(topic)
         operations |= _of_roles(topic)
     for queryable in QUERYABLES:
@@ -51,11 +51,10 @@ def document() -> Document:
         asked: Document = {"summary": "A query without a payload.", "payload": {"type": "null"}}
         answered: Document = {"contentType": queryable.encoding, "summary": queryable.meaning}
         if isinstance(queryable, Exchange):
-            (question, parts), (answer, more) = (
-                described(one, _SHARED) for one in (queryable.question, queryable.answer)
-            )
-            shared |= parts | more
-            asked, answered = _of_message(queryable.question, question), _of_message(queryable.answer, answer)
+            for kind in (queryable.question, queryable.answer):
+                body, parts = described(kind, _SHARED)
+                shared |= {kind.__name__: body} | parts
+            asked, answered = _of_message(queryable.question), _of_message(queryable.answer)
         messages |= {f"{name}.question": asked, f"{name}.answer": answered}
         if isinstance(queryable, Exchange) and queryable.has_data:
             messages[f"{name}.{DATA}"] = _of_data(f"{name}.answer")
@@ -83,9 +82,9 @@ def document() -> Document:
     }
 
 
-def _of_message(kind: type[Message], body: Document) -> Document:
+def _of_message(kind: type[Message]) -> Document:
     summary = (kind.__doc__ or "").strip().splitlines()[0]
-    return {"contentType": encoding_of(kind), "summary": summary, "payload": envelope(kind, body)}
+    return {"contentType": encoding_of(kind), "summary": summary, "payload": envelope(kind, _SHARED)}
 
 
 def _of_data(answer: str) -> Document:

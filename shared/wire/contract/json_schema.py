@@ -8,12 +8,13 @@ from pydantic_core.core_schema import TaggedUnionSchema
 
 from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
-from cogradar.shared.protocol.topics import KINDS, PROTOCOL, name_of, schema_of
+from cogradar.shared.protocol.topics import KINDS, PROTOCOL, encoding_of, name_of
 from cogradar.shared.wire.codec import ARRAY
 from cogradar.shared.wire.contract.meanings import meanings, shape, unit
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 ROOT = f"urn:cogradar:{PROTOCOL}"
+ENVELOPE = "Message"  # behind the name of what is in it
 Schema = dict[str, Any]
 
 
@@ -31,16 +32,16 @@ class _Generator(GenerateJsonSchema):
         return False
 
 
-def envelope(kind: type[Message], body: Schema) -> Schema:
-    """Schema of a message whose body has a schema."""
+def envelope(kind: type[Message], template: str = DEFAULT_REF_TEMPLATE) -> Schema:
+    """Schema of a message, which refers to that of its body by the name of its kind."""
     return {
-        "title": kind.__name__,
+        "title": f"{kind.__name__}{ENVELOPE}",
         "description": _text(kind),
         "type": "object",
         "properties": {
             "v": {"const": SCHEMA, "description": "version of the envelope"},
             "topic": {"const": name_of(kind), "description": "kind of message"},
-            "body": body,
+            "body": {"$ref": template.format(model=kind.__name__)},
         },
         "required": ["v", "topic", "body"],
         "additionalProperties": False,
@@ -56,16 +57,18 @@ def described(kind: type[Message], template: str = DEFAULT_REF_TEMPLATE) -> tupl
         if name in known:
             _explain(known[name], part)
     _explain(kind, schema)
+    for part in (schema, *shared.values()):
+        _say_how_arrays_are_packed(part)
     return schema, shared
 
 
 def document() -> Schema:
-    """A schema for every message, each with an identifier of its own, in one document."""
-    schemas = {}
+    """A schema for every message and for all that they refer to, by name, in one document."""
+    schemas: dict[str, Schema] = {}
     for kind in KINDS:
         body, shared = described(kind)
-        parts = {"$defs": shared} if shared else {}
-        schemas[name_of(kind)] = {"$id": schema_of(kind), **envelope(kind, body), **parts}
+        named = {"x-encoding": encoding_of(kind), **envelope(kind)}
+        schemas |= {f"{kind.__name__}{ENVELOPE}": named, kind.__name__: body} | shared
     return {
         "$schema": DIALECT,
         "$id": ROOT,
@@ -73,12 +76,28 @@ def document() -> Schema:
         "description": (
             "A message is MessagePack. It has the same maps, lists, numbers and texts in JSON, with two exceptions: an"
             f" array is an extension value of type {ARRAY} in MessagePack, an object with dtype, shape and values in"
-            " JSON; bytes are an object with base64. A schema cannot say how fields depend on each other: receivers"
+            " JSON; bytes are an object with base64. x-msgpack says what the extension value holds: two letters for"
+            " the kind of its elements, a byte for the number of axes, four for the length of each, and the elements,"
+            " the last axis fastest, all little-endian. A schema cannot say how fields depend on each other: receivers"
             " check that, too."
         ),
-        "oneOf": [{"$ref": schema_of(kind)} for kind in KINDS],
+        "oneOf": [{"$ref": f"#/$defs/{kind.__name__}{ENVELOPE}"} for kind in KINDS],
         "$defs": schemas,
     }
+
+
+def _say_how_arrays_are_packed(schema: Any) -> None:
+    """Put into the schema of each array, which is that of its form in JSON, what it is in MessagePack."""
+    parts = list(schema.values()) if isinstance(schema, dict) else schema if isinstance(schema, list) else []
+    if isinstance(schema, dict) and {"dtype", "shape", "values"} == schema.get("properties", {}).keys():
+        of = schema["properties"]
+        shape = of["shape"]
+        n_axes = len(shape["const"]) if "const" in shape else shape["minItems"]
+        kind = of["dtype"]["const"]
+        schema["x-msgpack"] = {"extensionType": ARRAY, "dtype": kind, "axes": n_axes, "order": "C", "endian": "little"}
+        return
+    for part in parts:
+        _say_how_arrays_are_packed(part)
 
 
 def _explain(kind: type[BaseModel], schema: Schema) -> None:

