@@ -86,7 +86,7 @@ export class Course {
     window.Plotly?.purge(this.node);
     this.isHeard = false; // whoever listened to the chart went with it
     this.node.replaceChildren(this.marker(), make("p", "message", text));
-    this.node.removeAttribute("aria-label");
+    this.node.setAttribute("aria-label", text || "No course");
   }
 
   marker() {

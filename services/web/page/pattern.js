@@ -37,7 +37,7 @@ export class Pattern {
   blank(text) {
     window.Plotly?.purge(this.node);
     this.node.replaceChildren(make("p", "message", text));
-    this.node.removeAttribute("aria-label");
+    this.node.setAttribute("aria-label", text || "Beampattern");
   }
 
   show({ radar, dwell, target }) {

@@ -171,7 +171,6 @@ export class Radar {
       ? `Scope at dwell ${dwell.t}: confirmed tracks: ${[...now.values()].filter(isConfirmed).length}. The table of tracks says the same in numbers.`
       : `Scope at dwell ${dwell.t}: ${now.size} targets, ${lost.length ? `lost: ${lost.join(", ")}` : "none lost"}. The table of targets says the same in numbers.`;
     if (this.isCalm) byId("scope").setAttribute("aria-label", text);
-    else if (!byId("scope").hasAttribute("aria-label")) byId("scope").setAttribute("aria-label", "Scope");
   }
 }
 
