@@ -59,7 +59,7 @@ test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt instal
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "browser and not nightly" $(if $(ARGS),$(ARGS),--ignore=$(PAGE_BY_THE_CLOCK)) $(PAGE)
 	$(if $(ARGS),,$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK))
 
-# AsyncAPI's own parser, and MessagePack in JavaScript. Without them their tests are skipped.
+# AsyncAPI's own parser, MessagePack in JavaScript, and axe for the page. Without them their tests are skipped.
 node: ## what some tests run in Node; needs npm
 	npm ci --prefix tests/node --ignore-scripts --no-audit --no-fund
 
@@ -74,11 +74,14 @@ nightly: setup ## what takes too long for every change: the nightly tests, make 
 	@mkdir -p $(dir $(SIMULATED))
 	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)
 
-lint: setup ## style, types, import rules, and what is published for other languages
+# Tests and studies are for Linux: they stop processes by signals, and read what they used.
+lint: setup ## style, types (also as on macOS and Windows), import rules, and what is published for other languages
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/codespell
 	$(BIN)/mypy
+	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin cogradar
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 cogradar
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m tests.contract
 

@@ -1,6 +1,5 @@
 """Compiled kernels: make them once per state of the sources, and report it."""
 
-import fcntl
 import os
 import shutil
 import threading
@@ -9,7 +8,10 @@ import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from itertools import count
 from pathlib import Path
+
+from filelock import lock_descriptor
 
 from cogradar.services.errors import RunFailed, check_stop
 from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling, interpret
@@ -104,17 +106,23 @@ def _lock() -> None:
     """Show, until this process ends, that its kernels are in use."""
     if CACHE_DIR in _locks:
         return
-    file = os.open(CACHE_DIR / "in-use", os.O_WRONLY | os.O_CREAT)
-    with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
-        fcntl.flock(file, fcntl.LOCK_SH)
-    _locks[CACHE_DIR] = file
+    for n in count():
+        file = os.open(CACHE_DIR / f"in-use.{n}", os.O_WRONLY | os.O_CREAT)
+        with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
+            if not lock_descriptor(file, blocking=False):
+                os.close(file)
+                continue
+        _locks[CACHE_DIR] = file
+        return
 
 
 def _is_in_use(folder: Path) -> bool:
     """Whether a live process uses the kernels of a folder; also if that cannot be found out."""
     try:
-        with (folder / "in-use").open("ab") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        for path in folder.glob("in-use.*"):
+            with path.open("ab") as file:
+                if not lock_descriptor(file.fileno(), blocking=False):
+                    return True
     except OSError:
         return True
     return False

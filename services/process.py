@@ -84,7 +84,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             from cogradar.services.kernels import compile_all
 
             compile_all(log.info, stop)
-        if service.yields:
+        if service.yields and hasattr(os, "nice"):
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
         core = service.core(replace(start, check=check))
         if isinstance(core, Closing):

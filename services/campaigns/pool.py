@@ -8,8 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
-from multiprocessing.connection import Connection
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Protocol
 
 from cogradar.services.errors import BadInput, RunFailed
@@ -47,6 +46,13 @@ def interrupts_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+class _Parent(Protocol):
+    """The end of a pipe, whose class depends on the platform."""
+
+    def poll(self, timeout: float | None) -> bool:
+        """Wait until something comes, or until the other end is closed."""
+
+
 class LocalPool:
     """Processes of this machine."""
 
@@ -68,17 +74,18 @@ class LocalPool:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(parent: Connection, allowed: str) -> None:
+def _begin(parent: _Parent, allowed: str) -> None:
     """Be a worker: it may load what its parent may."""
     allow(allowed)
     _end_with(parent)
 
 
-def _end_with(parent: Connection) -> None:
+def _end_with(parent: _Parent) -> None:
     """End this worker, in the middle of a run if need be, as soon as the other end of the pipe is closed."""
 
     def watch() -> None:
-        parent.poll(None)
+        with suppress(OSError):  # on Windows, where it was closed before
+            parent.poll(None)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

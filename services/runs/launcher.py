@@ -52,9 +52,13 @@ def scratch() -> tempfile.TemporaryDirectory[str]:
     for folder in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
         owner = folder.name.removeprefix(SCRATCH).partition("-")[0]
         with suppress(OSError):
-            if owner.isdecimal() and folder.stat().st_uid == os.getuid() and not _is_alive(int(owner)):
+            if owner.isdecimal() and _is_ours(folder) and not _is_alive(int(owner)):
                 shutil.rmtree(folder)
     return tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-")
+
+
+def _is_ours(folder: Path) -> bool:
+    return sys.platform != "win32" and folder.stat().st_uid == os.getuid()
 
 
 def _is_alive(process: int) -> bool:
@@ -81,6 +85,8 @@ class Launcher:
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         """The socket of HTTP is ours: it outlives a restart of metrics."""
+        if os.name == "nt":
+            raise BadInput("processes of their own need Linux or macOS: on Windows use WSL, or --in-process")
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._given, self._stop, self._notify = processes, stop, notify
         self._http = listen(processes.http)

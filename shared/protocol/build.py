@@ -21,7 +21,7 @@ def build() -> str:
     for library in LIBRARIES:
         digest.update(f"{library} {version(library)}".encode())
     for source in sources():
-        digest.update(str(source.relative_to(_ROOT)).encode())
+        digest.update(source.relative_to(_ROOT).as_posix().encode())
         digest.update(source.read_bytes())
     return f"{digest.hexdigest()[:16]}-{arithmetic()}"
 

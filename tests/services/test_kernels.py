@@ -1,7 +1,6 @@
 """Compiling all kernels: a stop is obeyed, a folder that cannot be written is no end, old kernels go."""
 
 import errno
-import fcntl
 import os
 import resource
 import signal
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from filelock import lock_descriptor
 
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
@@ -161,8 +161,8 @@ def test_kernels_that_nobody_used_for_a_month_are_removed(monkeypatch: pytest.Mo
     other.mkdir()
     os.utime(other, (0, 0))
     monkeypatch.setattr(kernels, "CACHE_DIR", mine)
-    with (used / "in-use").open("wb") as file:
-        fcntl.flock(file, fcntl.LOCK_SH)  # what another process does that uses them
+    with (used / "in-use.1").open("wb") as file:  # the process with the first number has ended
+        assert lock_descriptor(file.fileno(), blocking=False)  # what another process does that uses them
         kernels.compile_all(lambda _: pytest.fail("nothing to compile"))
     assert [path.exists() for path in (old, torn, recent, mine, used, other)] == [False, False, True, True, True, True]
     assert time.time() - (mine / "complete").stat().st_mtime < 60.0  # used today
@@ -175,6 +175,10 @@ def test_a_process_marks_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(kernels, "CACHE_DIR", mine)
     assert not kernels._is_in_use(mine)
     kernels.compile_all(lambda _: None)
+    first = kernels._locks.pop(mine)
+    kernels.compile_all(lambda _: None)  # as another process would
+    os.close(first)
     assert kernels._is_in_use(mine)
     os.close(kernels._locks.pop(mine))
     assert not kernels._is_in_use(mine)
+    assert {path.name for path in mine.glob("in-use*")} == {"in-use.0", "in-use.1"}

@@ -1,12 +1,13 @@
 """One writer per journal: a lock with an owner, on a file beside it."""
 
-import fcntl
 import json
 import os
 import socket
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+
+from filelock import lock_descriptor, unlock_descriptor
 
 from cogradar.services.errors import BadInput
 
@@ -21,29 +22,29 @@ class JournalLock:
             self._file = self._take(path)
             os.truncate(self._file, 0)
             with suppress(OSError):  # the disk is full: others read that another process has it
-                os.write(self._file, json.dumps(_signature(path, owner)).encode())
+                # On Windows only its holder can read the first byte of a file that is locked.
+                os.write(self._file, b" " + json.dumps(_signature(path, owner)).encode())
         except OSError as error:
             raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
 
     def release(self) -> None:
         """Let others write."""
         if _is_at(self._file, self._path) and _is_held(self._file):  # else another process has made or taken it
-            Path(self._path).unlink(missing_ok=True)
+            with suppress(PermissionError):  # Windows removes no open file: it stays there, and means nothing
+                Path(self._path).unlink(missing_ok=True)
         os.close(self._file)
 
     def lose(self) -> None:
         """Let others take it, as a file system over the network does with the lock of a machine that is cut off."""
-        fcntl.flock(self._file, fcntl.LOCK_UN)
+        unlock_descriptor(self._file)
 
     def _take(self, path: str) -> int:
         while True:
-            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                holder = _holder(os.read(file, 1000))
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
+            if not lock_descriptor(file, blocking=False):
+                holder = _holder(file)
                 os.close(file)
-                raise BadInput(f"{path}: in use by {holder}") from None
+                raise BadInput(f"{path}: in use by {holder}")
             if _is_at(file, self._path):
                 return file
             os.close(file)  # its owner released it, and with it the name, between the two calls
@@ -52,7 +53,8 @@ class JournalLock:
 def inode_in_use(path: str) -> int | None:
     """Inode of the file that the writer of a journal has open; None: nobody has said."""
     try:
-        inode = json.loads(Path(f"{Path(path).resolve()}.lock").read_bytes()[:1000])["inode"]
+        with Path(f"{Path(path).resolve()}.lock").open("rb") as file:
+            inode = json.loads(_signed(file.fileno()))["inode"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return inode if isinstance(inode, int) else None
@@ -62,10 +64,9 @@ def is_written(path: str) -> bool:
     """Whether a process has the lock of a journal. One that was killed leaves the lock's file behind, not the lock."""
     try:
         with Path(f"{Path(path).resolve()}.lock").open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return not lock_descriptor(file.fileno(), blocking=False)
     except OSError as error:
         return not isinstance(error, FileNotFoundError)
-    return False
 
 
 def _signature(path: str, owner: str) -> dict[str, object]:
@@ -74,20 +75,24 @@ def _signature(path: str, owner: str) -> dict[str, object]:
     return {"name": owner, "pid": os.getpid(), "host": socket.gethostname(), "since": since, "inode": inode}
 
 
-def _holder(text: bytes) -> str:
+def _signed(file: int) -> bytes:
+    os.lseek(file, 1, os.SEEK_SET)
+    return os.read(file, 1000)
+
+
+def _holder(file: int) -> str:
     try:
-        return "{name} (process {pid} on {host}, since {since})".format(**json.loads(text))
-    except (ValueError, KeyError, TypeError):
+        return "{name} (process {pid} on {host}, since {since})".format(**json.loads(_signed(file)))
+    except (OSError, ValueError, KeyError, TypeError):
         return "another process"  # that has just taken it
 
 
 def _is_held(file: int) -> bool:
     """Whether a lock that was taken is still ours: some file systems take it back from a machine that is cut off."""
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return lock_descriptor(file, blocking=False)
     except OSError:
         return False
-    return True
 
 
 def _is_at(file: int, path: str) -> bool:

@@ -62,6 +62,12 @@ def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPa
     assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES
 
 
+def test_on_windows_the_user_is_told_what_works_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "name", "nt")
+    with pytest.raises(BadInput, match="use WSL, or --in-process"):
+        Launcher(LocalProcesses(1), threading.Event())
+
+
 @pytest.mark.zenoh
 def test_a_store_that_somebody_else_took_is_bad_input_and_not_tried_again(
     tmp_path: Path, process_names: Callable[[], list[str]]

@@ -14,6 +14,7 @@ import pytest
 
 from cogradar.services.errors import BadInput
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.file.lock import inode_in_use, is_written
 from cogradar.services.recorder.journal import Journal
 from tests.services.loop import smoke_start
 
@@ -50,6 +51,19 @@ def test_readers_need_no_lock_and_leave_none(tmp_path: Path) -> None:
         Journal(path)
     writer.close()
     assert [file.name for file in tmp_path.iterdir()] == ["runs.db"]
+
+
+def test_who_has_the_lock_is_read_without_the_byte_that_windows_keeps_to_its_holder(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    writer = Journal(path, owner="recorder-7")
+    assert (inode_in_use(path), is_written(path)) == (Path(path).stat().st_ino, True)
+    with Path(f"{path}.lock").open("r+b") as file:
+        file.write(b"\xff")
+    assert inode_in_use(path) == Path(path).stat().st_ino
+    with pytest.raises(BadInput, match="in use by recorder-7"):
+        Journal(path)
+    writer.close()
+    assert not is_written(path)
 
 
 def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path: Path) -> None:
