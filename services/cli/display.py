@@ -1,5 +1,6 @@
 """What the terminal shows: progress of a run, its tables, answers to queries."""
 
+import time
 from collections.abc import Sequence
 from shlex import quote
 from types import TracebackType
@@ -61,6 +62,7 @@ UNMEASURED = Column(
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
+FAULT_AGAIN_S = 10.0  # from a line about a front end to the next, which says something else
 STALE_SHARE, STALE_AFTER = 0.2, 20  # of waveforms in real time, and dwells, from which on it is worth a line
 
 
@@ -117,6 +119,7 @@ class RunDisplay(_Live):
         )
         self._room = console.width - LIVE_HEAD - 2 * len(str(dwells))
         self._says_stale = False
+        self._fault, self._fault_s = "", float("-inf")  # told last, and when
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
@@ -131,6 +134,9 @@ class RunDisplay(_Live):
             self.notify(
                 f"{100 * stale:.0f} % of the waveforms came too late so far: a lower --rate gives them more time"
             )
+        if now.fault not in {"", self._fault} and time.monotonic() - self._fault_s > FAULT_AGAIN_S:
+            self._fault, self._fault_s = now.fault, time.monotonic()
+            self.notify(f"not measured: {now.fault}")
         self._progress.update(
             self._task,
             description=head,
@@ -262,7 +268,8 @@ def run_caption(result: Result) -> str:
     if result.picture.get("blind_cells"):
         lines.append(BLIND.cell(result.picture | {"blind_percent": 100.0 * result.picture["blind_share"]}))
     if result.picture.get("unmeasured_looks"):
-        lines.append(UNMEASURED.cell(result.picture))
+        fault = result.picture.get("unmeasured_fault")
+        lines.append(UNMEASURED.cell(result.picture) + (f"; the last time: {fault}" if fault else ""))
     missed = [str(row["target"]) for row in result.targets if row["born_t"] and not row["confirmed_t"]]
     if result.is_unknown and missed:
         lines.append(f"never followed: target {', '.join(missed)}")

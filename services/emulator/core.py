@@ -299,7 +299,8 @@ def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[
     elif ends(run.orders, k):
         answers = _end(run, k, "failed", "ended by a command before every target was detected")
     elif not run.is_tracking(waveform) and k - run.said >= max_scans:
-        reason = f"not every target was detected within {k - run.said} scans"
+        measured = k - (run.said if run.pacing.loses_dwells else run.unmeasured)
+        reason = f"not every target was detected within {measured} scans"
         nearest = f"; {run.strongest}" if run.strongest is not None else ""
         lost = f"; nothing was measured in {run.unmeasured} dwells: {run.last_fault}" if run.unmeasured else ""
         answers = _end(run, k, "failed", reason + nearest + lost)

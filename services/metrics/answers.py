@@ -97,7 +97,7 @@ def _runs(store: Store, selection: Selection) -> Rows:
     condition, values = selection.of_runs
     rows = store.read(
         f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
-        " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest,"
+        " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, NULL AS fault, digest,"
         f" acknowledged_t AS t, {OLDEST_T} AS oldest_t, {_CLOCKS},"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
@@ -109,7 +109,8 @@ def _runs(store: Store, selection: Selection) -> Rows:
 def _hindered(run: dict[str, Any], store: Store) -> dict[str, Any]:
     """What a run waits for, and what hinders it."""
     now = _now(store, run)
-    return now | {"waiting_for": "; ".join(text for text in (now["waiting_for"], run["reason"]) if text)}
+    fault = f"front end: {now['fault']}" if now.get("fault") else ""
+    return now | {"waiting_for": "; ".join(text for text in (now["waiting_for"], run["reason"], fault) if text)}
 
 
 def count(store: Store, parameters: Mapping[str, str]) -> int:
@@ -120,17 +121,20 @@ def count(store: Store, parameters: Mapping[str, str]) -> int:
 
 
 def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
-    """Of a run that goes on: whose message the loop needs next, and of an unknown number how many are confirmed."""
+    """Of a run that goes on: whose message the loop needs next, why nothing was measured in the newest dwell, and of an
+    unknown number how many are confirmed.
+    """
     if run["run"] in store.held:
         return {"waiting_for": NO_ROOM}
     if run["k"] is None:
         return {"waiting_for": "the emulator's first scan"}
     sent = store.read("SELECT topic, item, payload FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
     planned = {row["item"] for row in sent if row["topic"] == "plan"}
-    tracks, found = list(range(1, 1 + (run["tracks"] or 0))), dict[str, Any]()
+    (scan,) = (fields(row["payload"]) for row in sent if row["topic"] == "scan")
+    tracks, found = list(range(1, 1 + (run["tracks"] or 0))), {"fault": scan.get("fault")}
     if run["tracks"] is None:
-        (roster,) = (fields(row["payload"])["roster"] for row in sent if row["topic"] == "scan")
-        tracks, found = (roster["ids"] + 1).tolist(), {"confirmed": int(roster["confirmed"].sum())}
+        roster = scan["roster"]
+        tracks, found["confirmed"] = (roster["ids"] + 1).tolist(), int(roster["confirmed"].sum())
     missing = [str(track) for track in tracks if track not in planned]
     if missing:
         text = f"a planner: plan of track {', '.join(missing)} at dwell {run['k']}"
@@ -274,7 +278,20 @@ def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     found = figures(store, [run["run"] for run in runs])
     of_run = ("run", "scenario", "strategy", "seed")
     begun = selection.page([run for run in runs if run["run"] in found])
-    return [{name: run[name] for name in of_run} | found[run["run"]] for run in begun]
+    rows = [{name: run[name] for name in of_run} | found[run["run"]] for run in begun]
+    return [row | {"unmeasured_fault": _last_fault(store, row)} for row in rows]
+
+
+def _last_fault(store: Store, picture: dict[str, Any]) -> str | None:
+    """Why nothing was measured in the last such dwell; None: there was none, or its scan is not kept."""
+    if not picture["unmeasured_dwells"]:
+        return None
+    rows = store.read(
+        "SELECT m.payload FROM picture AS p JOIN message AS m ON m.run = p.run AND m.k = p.k AND m.topic = 'scan'"
+        " WHERE p.run = ? AND p.unmeasured > 0 AND p.tested = 0 ORDER BY p.t DESC LIMIT 1",
+        [picture["run"]],
+    )
+    return next((fields(row["payload"]).get("fault") for row in rows), None)
 
 
 def _antennas(store: Store, selection: Selection, runs: list[Run]) -> Rows:

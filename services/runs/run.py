@@ -35,6 +35,7 @@ class Progress:
     complete: bool = False
     confirmed: int | None = None  # tracks, if their number is unknown
     hindered: str = ""  # which processes cannot do their part, and why
+    fault: str = ""  # why nothing was measured in the newest dwell
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Result:
             columns += ["n", "late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]
         found = {"elapsed_s": round(self.elapsed_s, 3), "false_tracks": self.false_tracks}
-        of_picture = {key: self.picture.get(key) for key in PICTURE}
+        of_picture = {key: self.picture.get(key) for key in (*PICTURE, "unmeasured_fault")}
         return {key: self.run[key] for key in keys} | found | of_picture | {"targets": targets}
 
     @property
@@ -150,6 +151,7 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
         row["status"] == "complete",
         row["confirmed"],
         row["reason"] or "",
+        row["fault"] or "",
     )
 
 

@@ -38,6 +38,7 @@ class RunRow(Document):
     conflicts: int
     status: Literal["running", "complete", "stopped", "failed", "quarantined"]
     reason: str
+    fault: str | None = Field(description="Why nothing was measured in the newest dwell of a run that goes on.")
     digest: str | None
     t: int
     oldest_t: int = Field(description="The oldest dwell that is kept of a run without an end; else 1.")
@@ -158,6 +159,7 @@ class _OfPicture(Document):
     blind_share: float | None = Field(description="Of all tested cells.")
     unmeasured_looks: int = Field(description="Looks that were asked for and not measured.")
     unmeasured_dwells: int = Field(description="Dwells in which nothing was measured.")
+    unmeasured_fault: str | None = Field(description="Why, in the last of them.")
 
 
 _FIGURES: dict[str, Any] = {name: (hint | None, ...) for name, hint in get_type_hints(Figures).items()}

@@ -127,7 +127,11 @@ def test_what_was_not_measured_is_counted_and_is_no_miss(name: str, has_truth: b
     assert (picture["unmeasured_looks"], picture["unmeasured_dwells"]) == (sum(counts), len(outage))
     done = result(lambda metric, asked: answer(store, metric, asked), start, began=0.0)
     assert done is not None
-    assert f"not measured: {sum(counts)} looks, {len(outage)} dwells as a whole" in run_caption(done)
+    caption = run_caption(done)
+    assert f"not measured: {sum(counts)} looks, {len(outage)} dwells as a whole" in caption
+    (fault,) = (scan.fault for scan in tracking if scan.t == max(outage))
+    assert fault
+    assert caption.count(f"not in P_D; the last time: {fault}\n") == 1
     rows = answer(store, "tracks", {})
     assert all(row["detected"] is None for row in rows if row["t"] in outage and row["track"] is not None)
     assert not rows or any(row["detected"] is not None for row in rows if row["t"] not in outage)

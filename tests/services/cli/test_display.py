@@ -163,6 +163,16 @@ def test_stale_waveforms_are_told_of_while_they_happen_and_once() -> None:
     assert line == "90 % of the waveforms came too late so far: a lower --rate gives them more time"
 
 
+def test_why_nothing_is_measured_is_told_while_it_happens_and_not_too_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    console, now_s = Console(file=io.StringIO(), width=80), 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now_s)
+    with RunDisplay(console, 100) as display:
+        for t, fault in ((0, ""), (1, "no answer"), (5, "it is hot"), (30, "no answer"), (35, ""), (40, "it is hot")):
+            now_s = float(t)
+            display.report(Progress(t, 100, t, "", [_row(1)], fault=fault))
+    assert _shown(console).splitlines() == ["not measured: no answer", "not measured: it is hot"]
+
+
 def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None:
     unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "in_bin": None, "outage": None, "lost": None}
     blind = Result(finished.run, [row | unknown for row in finished.targets], [], {}, 1.0)

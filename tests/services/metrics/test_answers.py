@@ -77,6 +77,13 @@ def test_a_run_in_progress_says_what_it_waits_for(sent: list[Message], last: typ
     assert words in answer(_recorded(sent[: kinds[last]]), "runs", {})[0]["waiting_for"]
 
 
+def test_a_run_in_progress_says_why_nothing_was_measured(sent: list[Message]) -> None:
+    said = [one.model_copy(update={"fault": "no packet"}) if isinstance(one, Scan) else one for one in sent[:4]]
+    (run,) = answer(_recorded(said), "runs", {})
+    assert run["fault"] == "no packet"
+    assert run["waiting_for"].endswith("plan of track 1, 2 at dwell 0; front end: no packet")
+
+
 def test_p_d_and_rmse_agree_with_the_rows(sent: list[Message]) -> None:
     store, asked = _recorded(sent), {"target": "2", "dwells": "3:6"}
     rows = list(answer(store, "tracks", asked))
@@ -256,4 +263,4 @@ def test_a_result_has_a_row_per_window_and_target() -> None:
     assert [[row["n"] for row in window] for window in done.windows] == [[50, 50], [10, 10]]
     assert sum(w[0]["detections"] for w in done.windows) == done.targets[0]["detections"]
     keys = {"run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest", "elapsed_s", "targets"}
-    assert set(done.as_json()) == keys | {"false_tracks", *PICTURE}
+    assert set(done.as_json()) == keys | {"false_tracks", *PICTURE, "unmeasured_fault"}
