@@ -1,10 +1,12 @@
 // front_end.cpp: skeleton of a front end in C++ that hands over looks. Replace `measured`.
 //
 //   g++ -std=c++17 -DMSGPACK_NO_BOOST front_end.cpp -o front_end               question on stdin, answer on stdout
-//   g++ -std=c++17 -DMSGPACK_NO_BOOST -DWITH_ZENOH front_end.cpp -lzenohc -o front_end      a process of a radar
+//   PICO="-DZENOHCXX_ZENOHPICO -DZENOH_LINUX $(pkg-config --cflags zenohpico)"; LIBS="$(pkg-config --libs zenohpico) -lpthread"
+//   g++ -std=c++17 -DMSGPACK_NO_BOOST -DWITH_ZENOH $PICO front_end.cpp $LIBS -o front_end                a process of a radar
+//   g++ -std=c++17 -DMSGPACK_NO_BOOST -DWITH_ZENOH -DZENOHCXX_ZENOHC front_end.cpp -lzenohc -o front_end          the same
 //
-// The first one is compiled and tested with cogradar. The second one needs zenoh-cpp and zenoh-c 1.x, which its tests do
-// not have: that part, at the end, is not compiled there.
+// The first one is compiled and tested with cogradar. The others need zenoh-cpp; its tests compile and ask the second one
+// where zenoh-cpp and zenoh-pico are installed (tried with 1.9.0). With zenoh-c it was not compiled yet.
 
 #include <atomic>
 #include <complex>
@@ -218,9 +220,15 @@ int main(int n, char** words) {
 int main(int n, char** words) {
     if (n != 3) return std::cerr << "front_end NAME ENDPOINT, as roof tcp/127.0.0.1:7448\n", 2;
     auto config = zenoh::Config::create_default();
+#ifdef ZENOHCXX_ZENOHPICO
+    config.insert(Z_CONFIG_MODE_KEY, Z_CONFIG_MODE_PEER);
+    config.insert(Z_CONFIG_LISTEN_KEY, words[2]);
+    config.insert(Z_CONFIG_MULTICAST_SCOUTING_KEY, "false");
+#else
     config.insert_json5("mode", "\"peer\"");
     config.insert_json5("listen/endpoints", "[\"" + std::string(words[2]) + "\"]");
     config.insert_json5("scouting/multicast/enabled", "false");
+#endif
     auto session = zenoh::Session::open(std::move(config));
     auto answering = [](Bytes (*answer)(const Bytes&)) {
         return [answer](zenoh::Query& query) {  // the query is dropped at the end, which the radar waits for

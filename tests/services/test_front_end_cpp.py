@@ -1,8 +1,9 @@
-"""The skeleton of a front end in C++: what does not need a library of Zenoh, over pipes."""
+"""The skeleton of a front end in C++: over pipes what needs no library of Zenoh, and with one a whole front end."""
 
 import shutil
 import subprocess
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.emulator.cycle import compared, scan_message, transmission
-from cogradar.services.emulator.foreign import ForeignFrontEnd, question
+from cogradar.services.emulator.foreign import ForeignFrontEnd, OpensForeign, question
 from cogradar.services.emulator.front_end import Settings
 from cogradar.shared.protocol.front_ends.messages import Hello, Opening, Received, Transmit
 from cogradar.shared.protocol.messages import RunStart
@@ -18,6 +19,7 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode_answer, encode
 from cogradar.shared.wire.front_ends.line import Reply
+from cogradar.shared.wire.session import free_port
 from tests.samples import sample
 from tests.services.loop import checkpoint
 from tests.vectors.cases import vectors
@@ -27,6 +29,17 @@ HEADER = Path("/usr/include/msgpack.hpp")
 needs_compiler = pytest.mark.skipif(
     shutil.which("g++") is None or not HEADER.is_file(), reason="g++ and msgpack.hpp are not installed"
 )
+
+
+def _zenoh() -> list[str]:
+    """Options of a compiler for zenoh-cpp with zenoh-pico, as far as they are found; empty: they are not."""
+    if shutil.which("g++") is None or shutil.which("pkg-config") is None:
+        return []
+    asked = ["pkg-config", "--cflags", "--libs", "zenohpico"]
+    found = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()
+    header = ["g++", "-M", "-E", "-xc++", "-DZENOHCXX_ZENOHPICO", "-DZENOH_LINUX", "-", *found]
+    said = subprocess.run(header, input=b"#include <zenoh.hxx>", capture_output=True, check=False)
+    return [] if said.returncode else found
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +113,21 @@ def test_it_reads_the_vectors_and_refuses_what_is_broken(program: Path) -> None:
         assert _answered(program, which, payload).returncode == 0, name
         assert _answered(program, which, payload[:-1]).returncode == 2
         assert _answered(program, which, payload.replace(b"\xa1v\x02", b"\xa1v\x03")).returncode == 2
+
+
+@needs_compiler
+@pytest.mark.zenoh
+def test_with_a_library_of_zenoh_it_is_a_front_end(tmp_path: Path) -> None:
+    if not (zenoh := _zenoh()):
+        pytest.skip("zenoh-cpp and zenoh-pico are not installed")
+    made, endpoint = tmp_path / "front_end", f"tcp/127.0.0.1:{free_port()}"
+    options = ["-std=c++17", "-DMSGPACK_NO_BOOST", "-DWITH_ZENOH", "-DZENOHCXX_ZENOHPICO", "-DZENOH_LINUX"]
+    subprocess.run(["g++", *options, SOURCE, *zenoh, "-lpthread", "-o", made], check=True)
+    begun = checkpoint(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 5)).model_copy(update={"world": None})
+    with subprocess.Popen([made, "roof", endpoint], stdin=subprocess.PIPE) as process:
+        with closing(OpensForeign("roof", [endpoint])(begun)) as front_end:
+            asked = transmission(Settings.of(begun).radar, None)
+            scans = [front_end.transmit(k, 0, asked) for k in range(3)]
+        assert [scan.bins.tolist() for scan in scans if scan is not None] == 3 * [asked.bins.tolist()]
+        process.communicate(b"\n", timeout=10)
+    assert process.returncode == 0
