@@ -228,5 +228,5 @@ $(VENV)/requirements.lock: requirements.lock | $(BIN)/pip
 	@cp $< $@
 
 $(VENV)/installed: pyproject.toml $(VENV)/requirements.lock
-	@$(PIP_INSTALL) --no-deps --no-build-isolation --no-index -e .
+	@PYTHONWARNINGS="ignore:Editable installation" $(PIP_INSTALL) --no-deps --no-build-isolation --no-index -e .
 	@touch $@
