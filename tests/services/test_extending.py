@@ -55,7 +55,7 @@ columns = sys.modules["cogradar.shared.scoring.columns"] = types.ModuleType("cog
 exec(head + "\\n    " + sys.argv[1] + "\\n)\\nPICTURE = (" + rest, columns.__dict__)
 
 from docs.generator import numbers
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
@@ -72,7 +72,7 @@ for more in (["dwells=3"], ["dwells=15", "radar.fidelity=best", 'radar.tracks="u
     play(RunStart.of(load("smoke", more), Strategy.POWER_AWARE, 1, None), store=store)
     rows = [row["range_error_km"] for row in answer(store, "tracks", {})]
     result = Result(StoredRun(lambda metric, parameters: answer(store, metric, parameters)))
-    written = [value for value in table(result)["range_error_km"].tolist() if value == value]
+    written = [value for value in scores(result)["range_error_km"].tolist() if value == value]
     assert sorted(written) == sorted(value for value in rows if value is not None) != [], (written, rows)
     assert "range_error_km" in answer(store, "summary", {})[0]
     kept.journal.add_recording(take(store, store.read("SELECT run FROM run")[0]["run"]), 1)

@@ -42,14 +42,7 @@ class Records(np.ndarray):  # a structured array, whose kind is not known to the
 
         real : of complex numbers there is a column `_real` and one `_imag`
         """
-        found: Columns = {}
-        for name in self.dtype.names or ():
-            values = np.asarray(self[name])
-            for at in np.ndindex(values.shape[1:]):
-                column, one = "_".join([name, *map(str, at)]), values[(slice(None), *at)]
-                is_split = real and one.dtype.kind == "c"
-                found |= {f"{column}_real": one.real, f"{column}_imag": one.imag} if is_split else {column: one}
-        return found
+        return flat({name: np.asarray(self[name]) for name in self.dtype.names or ()}, real=real)
 
     def to_pandas(self) -> "pd.DataFrame":
         """A data frame with a column for each of `columns(real=False)`. Raises BadInput without pandas."""
@@ -72,6 +65,28 @@ class Records(np.ndarray):  # a structured array, whose kind is not known to the
             variables[name] = (("row", *(f"{name}_{i}" for i in range(values.ndim - 1))), values)
         found: xr.Dataset = library("xarray", "frames").Dataset(variables)
         return found
+
+
+def flat(columns: Mapping[str, NDArray[Any]], *, real: bool = True) -> Columns:
+    """Columns of one number or text in a row each: of vectors and matrices one for each element, `covariance_0_2`.
+
+    real : of complex numbers there is a column `_real` and one `_imag`
+    """
+    found: Columns = {}
+    for name, values in columns.items():
+        for at in np.ndindex(values.shape[1:]):
+            found |= _parts("_".join([name, *map(str, at)]), values[(slice(None), *at)], real=real)
+    return found
+
+
+def in_parts(columns: Mapping[str, NDArray[Any]]) -> Columns:
+    """Columns without complex numbers, of which each has two: `_real` and `_imag`."""
+    return {part: one for name, values in columns.items() for part, one in _parts(name, values).items()}
+
+
+def _parts(name: str, values: NDArray[Any], *, real: bool = True) -> Columns:
+    is_split = real and values.dtype.kind == "c"
+    return {f"{name}_real": values.real, f"{name}_imag": values.imag} if is_split else {name: values}
 
 
 def detections(

@@ -1,10 +1,9 @@
-"""One run as one table: a row per dwell and target, or track, or a row per detection, target or waveform.
+"""One run as one table: scores by dwell and target or track, or what Python's tables have, row by row.
 
 States are called as everywhere: x, vx, y, vy in km and km/s, x_hat and so on; other columns have their units in their
 names.
 """
 
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +20,7 @@ from cogradar.shared.scenario.scenario import SiteSection
 from cogradar.shared.scoring.columns import SHOWN
 from cogradar.shared.signal.array import spatial_frequency
 
+OF_RUN = ("run", "scenario", "strategy", "seed")  # the first columns, the same in each row
 OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")  # fields of `Picture`
 # Columns of the scores that the table has in its own order; further ones come last.
 _PLACED = {
@@ -35,17 +35,22 @@ UNITS = (("_km_s", "km/s"), ("_km2", "km2"), ("_km", "km"), ("_deg", "degree"), 
 # By name; g is not that of UDUNITS, in which it is the gram.
 NAMED = {"utc_s": "seconds since 1970-01-01", "acceleration_g": "standard_free_fall"}
 STATES = {"x": "km", "y": "km", "z": "km", "vx": "km/s", "vy": "km/s"}
-Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
+Table = dict[str, NDArray[Any]]  # (n, ...) each: numbers, with NaN for what is unknown, or texts
 
 
 def unit_of(column: str) -> str | None:
     """Unit of a column, as its name says it; None: it has none, or it is not a physical quantity."""
     if column in NAMED:
         return NAMED[column]
-    if covariance := re.fullmatch(r"covariance_(\d)_(\d)", column):  # of [x, vx, y, vy]
-        return ("km2", "km2/s", "km2/s2")[sum(int(i) % 2 for i in covariance.groups())]
     by_suffix = (unit for suffix, unit in UNITS if column.endswith(suffix))
     return STATES.get(column.removesuffix("_hat")) or next(by_suffix, None)
+
+
+def attributes_of(column: str) -> dict[str, str]:
+    """What a reader of a column is told: its unit, or of what it is."""
+    if column == "covariance":
+        return {"long_name": "covariance of [x_hat, vx_hat, y_hat, vy_hat], in km and km/s"}
+    return {"units": unit} if (unit := unit_of(column)) else {}
 
 
 class _Rows:
@@ -75,7 +80,7 @@ class _Rows:
         return found
 
 
-def table(result: Result) -> Table:
+def scores(result: Result) -> Table:
     """The columns of a run, rows in the order of dwell and target; of tracks of an unknown number in that of `_Rows`.
 
     `track` is 0 without a track, `target` 0 of a track of none. Angles are from boresight, nu = 0.5 sin(angle); without
@@ -93,8 +98,7 @@ def table(result: Result) -> Table:
     is_unknown, nan = result.scenario.radar.is_unknown, float("nan")
     tracks = result.by_track if is_unknown else NO_TRACKS
     rows = _Rows(result, tracks)
-    columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in _of_run(result).items()}
-    columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
+    columns = _of_run(result, rows.dwells.size)
     columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
     if not np.isnan(result.utc_s).all():
         columns |= {"utc_s": result.utc_s[rows.dwells]}
@@ -135,22 +139,24 @@ def table(result: Result) -> Table:
 
 
 def _table_of(rows: Callable[[Result], Records]) -> Callable[[Result], Table]:
-    """A row per row of a table of `Result`, what the run is before them; of complex numbers two columns."""
+    """A row per row of a table of `Result`, what the run is before them."""
 
     def found(result: Result) -> Table:
         of_rows = rows(result)
-        columns: Table = {name: np.full(of_rows.size, text) for name, text in _of_run(result).items()}
-        return columns | {"seed": np.full(of_rows.size, result.seed, dtype=np.int64)} | of_rows.columns()
+        return _of_run(result, of_rows.size) | {name: np.asarray(of_rows[name]) for name in of_rows.dtype.names or ()}
 
     return found
 
 
-def _of_run(result: Result) -> dict[str, str]:
-    return {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
+def _of_run(result: Result, n_row: int) -> Table:
+    names = (result.run, result.scenario.name, result.strategy.value)
+    columns = dict(zip(OF_RUN, [*map(np.array, names), np.array(result.seed, dtype=np.int64)], strict=True))
+    return {name: np.repeat(value, n_row) for name, value in columns.items()}
 
 
 TABLES: dict[str, Callable[[Result], Table]] = {
-    "tracks": table,
+    "scores": scores,
+    "tracks": _table_of(Result.tracks),
     "detections": _table_of(Result.detections),
     "looks": _table_of(lambda result: result.detections(all_looks=True)),
     "requests": _table_of(Result.requests),

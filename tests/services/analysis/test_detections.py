@@ -113,7 +113,7 @@ def test_every_format_has_the_same_rows(form: str, file: str, tmp_path: Path) ->
 def test_what_cannot_be_written_is_bad_input(file: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export", "--store", file, "--what", "plots", "--out", str(tmp_path / "x.csv")])
     assert done.exit_code == 2
-    assert "--what plots: must be one of tracks, detections, looks" in done.stderr
+    assert "--what plots: must be one of scores, tracks, detections, looks" in done.stderr
     with closing(Store(Journal(file, read_only=True))) as store:
         kept, recording = in_memory(), take(store, result_of(file).run)
     assert recording is not None

@@ -23,7 +23,7 @@ from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import formats
 from cogradar.services.analysis.export.formats import FORMATS, TEXTS, Format
 from cogradar.services.analysis.export.table_writers import write_netcdf
-from cogradar.services.analysis.export.tables import OF_ALL, TABLES, Table, table
+from cogradar.services.analysis.export.tables import OF_ALL, OF_RUN, TABLES, Table, attributes_of, scores
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.emulator.front_end import ScanData, Transmission
@@ -92,7 +92,8 @@ def _mat(path: Path) -> Columns:
 def _netcdf(path: Path) -> Columns:
     with xr.open_dataset(path) as loaded:
         assert loaded["x_hat"].attrs == {"units": "km"}
-        return {str(name): loaded[name].to_numpy().tolist() for name in loaded}
+        of_run = {name: [loaded.attrs[name]] * loaded.sizes["row"] for name in OF_RUN}
+        return of_run | {str(name): loaded[name].to_numpy().tolist() for name in loaded}
 
 
 READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": _mat, "nc": _netcdf}
@@ -102,7 +103,7 @@ READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": 
 def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: Path) -> None:
     result, path = result_of(file), tmp_path / f"run.{form}"
     assert result.run in _exported(file, path)
-    expected = {name: values.tolist() for name, values in table(result).items()}
+    expected = {name: values.tolist() for name, values in scores(result).items()}
     found = READERS[form](path)
     assert list(found) == list(expected)
     for name, values in expected.items():
@@ -116,7 +117,7 @@ def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: 
 
 def test_rows_say_what_the_arrays_say(file: str) -> None:
     result = result_of(file)
-    columns = table(result)
+    columns = scores(result)
     assert not [name for name in columns if "latitude" in name or "utc" in name]  # without a site
     assert columns["t"].tolist() == [t for t in range(1, DWELLS + 1) for _ in range(TARGETS)]
     assert columns["t_s"].tolist() == [t * 1.0 for t in columns["t"]]
@@ -166,7 +167,7 @@ def test_the_time_of_a_dwell_is_the_front_ends_where_it_says_one(
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    found = table(result_of(path))["utc_s"]
+    found = scores(result_of(path))["utc_s"]
     assert np.array_equal(found, [1e9 + 1, 1e9 + 1, np.nan, np.nan, 1e9 + 3, 1e9 + 3], equal_nan=True)
 
 
@@ -175,7 +176,7 @@ def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> Non
     store = Store(Journal(path))
     in_process.play(RunStart.of(load("smoke", SITE), Strategy.POWER_AWARE, 1, 3), store=store)
     store.close()
-    columns = table(result_of(path))
+    columns = scores(result_of(path))
     assert columns["utc_s"].tolist() == [1767225600.0 + t for t in (1, 1, 2, 2, 3, 3)]
     place = Place(48.0, 11.0, 90.0)
     for suffix in ("", "_hat"):
@@ -189,8 +190,8 @@ def test_of_a_campaigns_run_there_is_what_its_store_has(file: str, tmp_path: Pat
     assert recording is not None
     kept = in_memory()
     kept.journal.add_recording(recording, 1)
-    columns = table(Result(StoredRun(partial(answer, kept))))
-    whole = table(result_of(file))
+    columns = scores(Result(StoredRun(partial(answer, kept))))
+    whole = scores(result_of(file))
     assert set(whole) - set(columns) == {"statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"}
     assert all(np.array_equal(values, whole[name]) for name, values in columns.items())
     with pytest.raises(BadInput, match="no scan is stored"):
@@ -203,7 +204,7 @@ def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
     scenario = load("smoke").model_copy(update={"world": None})
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
-    columns = table(Result(StoredRun(partial(answer, blind))))
+    columns = scores(Result(StoredRun(partial(answer, blind))))
     assert {"x", "range_km", "snr_db", "stale", "true_bin", "hit", "in_bin", "outage", "gospa_km"} & set(
         columns
     ) == set()
@@ -220,7 +221,7 @@ def test_a_track_that_was_dark_has_no_numbers_of_another_cell(tmp_path: Path) ->
     seen.close()
     start = RunStart.of(scenario.model_copy(update={"world": None}), Strategy.POWER_AWARE, 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{path}#{done.run['run']}")
-    columns = table(Result(StoredRun(partial(answer, blind))))
+    columns = scores(Result(StoredRun(partial(answer, blind))))
     is_dark = columns["bin"] < 0
     assert 0 < is_dark.sum() < is_dark.size
     for name in ("statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"):
@@ -241,7 +242,7 @@ def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setitem(FORMATS, "csv", Format(("tracks",), full_disk))
+        patched.setitem(FORMATS, "csv", Format(("scores",), full_disk))
         with pytest.raises(BadInput, match=r"run\.csv: No space left on device"):
             formats.write(result_of(file), path, None, force=True)
     assert path.read_text() == "mine"
@@ -271,8 +272,8 @@ ANY = (["--out", "x.csv"], ["--out", "-", "--format", "csv"], ["--out", "x.mcap"
         (["nobody", "--out", "x.csv"], "run = 'nobody': no such run"),
         (["--out", "-", "--format", "mat"], "--format mat: must be csv or json for --out -, standard output"),
         (["--out", "-"], "must be csv or json for --out -"),
-        (["--out", "x.mcap", "--what", "tracks"], "--what tracks: mcap files hold run; use --format csv, json"),
-        (["--out", "x.csv", "--what", "clip"], "--what clip: csv files hold tracks"),
+        (["--out", "x.mcap", "--what", "scores"], "--what scores: mcap files hold run; use --format csv, json"),
+        (["--out", "x.csv", "--what", "clip"], "--what clip: csv files hold scores"),
         *(([*to, "--dwells", "13:"], "has no such dwell; there are 1 to 12") for to in ANY),
         *(([*to, "--rate", "5"], "--rate 5: has no effect on") for to in ANY),
     ],
@@ -312,14 +313,39 @@ def test_without_its_library_a_format_says_what_to_install(
 
 
 @pytest.mark.parametrize("what", TABLES)
-def test_every_table_can_be_written(what: str, file: str, tmp_path: Path) -> None:
-    result, path = result_of(file), tmp_path / "run.nc"
+def test_every_table_can_be_written_whole_and_in_columns(what: str, file: str, tmp_path: Path) -> None:
+    result, csv, npz = result_of(file), tmp_path / "run.csv", tmp_path / "run.npz"
     expected = TABLES[what](result)
-    assert f"{len(expected['run'])} rows of {what}" in _exported(file, path, "--what", what)
-    with xr.open_dataset(path) as loaded:
+    assert f"{len(expected['run'])} rows of {what}" in _exported(file, csv, "--what", what)
+    _exported(file, npz, "--what", what)
+    with np.load(npz, allow_pickle=False) as loaded:
         assert list(loaded) == list(expected)
         for name, values in expected.items():
-            assert np.array_equal(loaded[name].to_numpy(), values, equal_nan=values.dtype.kind == "f"), name
+            assert np.array_equal(loaded[name], values, equal_nan=values.dtype.kind in "fc"), name
+    n_column = sum(values[0].size * (2 if values.dtype.kind == "c" else 1) for values in expected.values())
+    assert len(_csv(csv)) == n_column
+
+
+def test_matrices_and_complex_numbers_are_whole_where_a_format_has_them(file: str, tmp_path: Path) -> None:
+    result = result_of(file)
+    covariance, factor = result.tracks()["covariance"], result.waveforms()["factor"]
+    paths = {(what, form): tmp_path / f"{what}.{form}" for what in ("tracks", "waveforms") for form in ("nc", "mat")}
+    for (what, _), path in paths.items():
+        _exported(file, path, "--what", what)
+    assert np.array_equal(loadmat(paths["tracks", "mat"])["covariance"], covariance)
+    assert np.array_equal(loadmat(paths["waveforms", "mat"])["factor"], factor, equal_nan=True)
+    with xr.open_dataset(paths["tracks", "nc"]) as tracks, xr.open_dataset(paths["waveforms", "nc"]) as sent:
+        assert np.array_equal(tracks["covariance"], covariance)
+        assert tracks["covariance"].dims == ("row", "covariance_0", "covariance_1")
+        assert np.array_equal(sent["factor_real"] + 1j * sent["factor_imag"], factor, equal_nan=True)
+        assert sent.attrs["run"] == result.run
+    columns = _csv_of(file, tmp_path, "tracks")
+    assert np.array_equal(columns["covariance_0_2"], covariance[:, 0, 2])
+
+
+def _csv_of(file: str, folder: Path, what: str) -> Columns:
+    _exported(file, folder / f"{what}.csv", "--what", what)
+    return _csv(folder / f"{what}.csv")
 
 
 @pytest.mark.parametrize(("dwells", "chosen"), [("4:6", [4, 5, 6]), (":1", [0, 1]), ("12:", [12])])
@@ -337,13 +363,12 @@ def test_some_dwells_are_written_in_every_format(dwells: str, chosen: list[int],
 
 def test_units_are_as_xarray_and_udunits_have_them(tmp_path: Path) -> None:
     columns: Table = {name: np.array([0.5, 1e9]) for name in ("utc_s", "acceleration_g", "nu")}
-    columns |= {f"covariance_{i}": np.ones(2) for i in ("0_2", "0_1", "3_1")}
     write_netcdf(columns, tmp_path / "table.nc")
     with xr.open_dataset(tmp_path / "table.nc") as loaded:
         assert loaded["utc_s"].to_numpy()[1] == np.datetime64("2001-09-09T01:46:40")
-        units = {str(name): loaded[name].attrs.get("units") for name in loaded if name != "utc_s"}
-    squares = {"covariance_0_2": "km2", "covariance_0_1": "km2/s", "covariance_3_1": "km2/s2"}
-    assert units == {"acceleration_g": "standard_free_fall", "nu": None} | squares
+        assert loaded["acceleration_g"].attrs["units"] == "standard_free_fall"
+        assert loaded["nu"].attrs == {}
+    assert attributes_of("vx_hat") == {"units": "km/s"}
 
 
 if shutil.which("octave-cli"):

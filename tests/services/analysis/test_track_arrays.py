@@ -10,7 +10,7 @@ import pytest
 
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.figures import draw_all
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.display import run_caption
 from cogradar.services.metrics.answers import answer
@@ -85,7 +85,7 @@ def test_without_truth_there_are_tracks_alone(store: Store) -> None:
     assert (result.t.tolist(), result.estimates.shape) == (list(range(1, DWELLS + 1)), (DWELLS, 0, 4))
     assert result.by_track.numbers.tolist() == [1, 2, 3]
     assert not result.by_track.targets.any()
-    found = table(result)
+    found = scores(result)
     assert (len(found["t"]), set(found["track"].tolist()), "x" in found) == (11 + 1 + 3, {1, 2, 3}, False)
 
 
@@ -111,7 +111,7 @@ def test_of_a_known_number_all_tracks_are_always_there(store: Store) -> None:
 
 
 def test_a_table_has_each_track_and_each_target_without_one(by_hand: Result) -> None:
-    found = table(by_hand)
+    found = scores(by_hand)
     rows = list(zip(found["t"].tolist(), found["track"].tolist(), found["target"].tolist(), strict=True))
     assert rows[:6] == [(1, 0, 1), (2, 1, 0), (2, 0, 1), (3, 1, 1), (4, 1, 1), (4, 2, 0)]
     assert [row for row in rows if row[0] in {7, 8, 10}] == [
@@ -131,8 +131,8 @@ def test_a_table_has_each_track_and_each_target_without_one(by_hand: Result) -> 
 
 
 def test_tables_of_both_kinds_have_one_order_of_columns(by_hand: Result, store: Store) -> None:
-    known = list(table(_stored(store, play(smoke_start(dwells=4)), "known-too")))
-    unknown = [name for name in table(by_hand) if name not in {"confirmed", "existence"}]
+    known = list(scores(_stored(store, play(smoke_start(dwells=4)), "known-too")))
+    unknown = [name for name in scores(by_hand) if name not in {"confirmed", "existence"}]
     assert [name for name in unknown if name in known] == known
 
 

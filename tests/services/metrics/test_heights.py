@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.analysis.arrays.result import Result as Arrays
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
@@ -57,7 +57,7 @@ def test_heights_are_in_truth_scores_and_exports(played: tuple[Store, Result]) -
     seen = {truth.t: truth for truth in truths if isinstance(truth, Truth)}
     for t in range(1, DWELLS + 1):
         assert seen[t].heights_km == pytest.approx([HEIGHT_KM, 15.0 - (t + 5.0) * 3.0 / 65.0])
-    exported = table(arrays_of(store, result))
+    exported = scores(arrays_of(store, result))
     assert exported["z"][::2] == pytest.approx(np.full(DWELLS, HEIGHT_KM))
     with pytest.raises(ValueError, match="states must be 0"):
         Truth.model_validate(

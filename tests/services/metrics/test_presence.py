@@ -11,7 +11,7 @@ import pytest
 
 from cogradar.services.analysis.arrays.result import Result as Arrays
 from cogradar.services.analysis.drawing.figures import accuracy, power_shares, tracks
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.results import read_results
 from cogradar.services.analysis.stored_run import StoredRun
@@ -138,7 +138,7 @@ def test_arrays_and_tables_leave_out_who_is_not_there(played: tuple[Store, Resul
     assert ((arrays.true_bins >= 0) == there).all()
     assert np.isnan(arrays.measured.statistic[~there]).all()
     np.testing.assert_array_equal(arrays.p_d, [np.nan if row["p_d"] is None else row["p_d"] for row in result.targets])
-    columns = table(arrays)
+    columns = scores(arrays)
     assert (np.isnan(columns["angle_deg"]) == ~there.ravel()).all()
     assert not columns["in_bin"][~there.ravel()].any()
 

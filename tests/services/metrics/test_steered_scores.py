@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.analysis.arrays import result as run_arrays
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
@@ -77,7 +77,7 @@ def test_export_has_what_was_measured_of_each_target(played: tuple[Store, str]) 
     store, run = played
     scans, truths = _messages(store, Scan), _messages(store, Truth)
     result = run_arrays.Result(StoredRun(partial(answer, store), run))
-    columns, rows = table(result), answer(store, "tracks", {})
+    columns, rows = scores(result), answer(store, "tracks", {})
     for i, row in enumerate(rows):
         scan = scans[row["k"]]
         held = _holding(scan, truths[row["k"]].states[row["target"] - 1])

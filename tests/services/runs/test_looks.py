@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.analysis.arrays import result as run_arrays
-from cogradar.services.analysis.export.tables import table
+from cogradar.services.analysis.export.tables import scores
 from cogradar.services.analysis.replay import replay
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.metrics.answers import answer
@@ -117,7 +117,7 @@ def test_every_reader_has_the_cells(played: tuple[str, Store, Result]) -> None:
     assert np.array_equal(result.bins, np.nan_to_num(result.cells[:, :, 0, 0], nan=-1.0))
     assert (result.best_bins == result.true_bins).ravel().tolist() == [r["best_bin"] == r["true_bin"] for r in rows]
     assert result.outages.ravel().tolist() == [row["outage"] for row in rows]
-    assert table(result)["share"].tolist() == result.shares.ravel().tolist()
+    assert scores(result)["share"].tolist() == result.shares.ravel().tolist()
     for core in ("planner", "allocator"):
         assert replay(stored, core).difference is None
 
