@@ -121,22 +121,22 @@ def test_a_scenario_is_loaded_from_a_path(tmp_path: Path) -> None:
 
 
 def test_a_store_is_asked_in_python(file: str, result: cogradar.Result) -> None:
-    opened = cogradar.open(file)
-    assert [row["strategy"] for row in opened.runs()] == ["uniform", "power-aware"]
-    (name,) = (row["run"] for row in opened.runs(strategy="uniform"))
-    (row,) = opened.p_d(run=name, target=2)
-    assert row["p_d"] == pytest.approx(result.p_d[1])
-    assert [row["strategy"] for row in opened.p_d(target=2)] == ["power-aware"]  # of the newest
-    tracks = opened.tracks(run=name, target=1, dwells=(2, 4))
-    assert [row["t"] for row in tracks] == [2, 3, 4]
-    assert [row["x_hat"] for row in tracks] == result.estimates[1:4, 0, 0].tolist()
-    (picture,) = opened.picture(run=name)
-    assert picture["gospa_km"] == pytest.approx(np.sqrt(np.mean(result.picture.gospa_km**2)))
-    assert len(opened.rmse(run="all")) == len(opened.summary(run="all")) == 2 * TARGETS
-    with pytest.raises(cogradar.BadInput, match="no such run"):
-        opened.p_d(run="nobody")
-    with pytest.raises(cogradar.BadInput, match=r"nowhere\.db"):
-        cogradar.open("nowhere.db")
+    with cogradar.open(file) as opened:
+        assert [row["strategy"] for row in opened.runs()] == ["uniform", "power-aware"]
+        (name,) = (row["run"] for row in opened.runs(strategy="uniform"))
+        (row,) = opened.p_d(run=name, target=2)
+        assert row["p_d"] == pytest.approx(result.p_d[1])
+        assert [row["strategy"] for row in opened.p_d(target=2)] == ["power-aware"]  # of the newest
+        tracks = opened.tracks(run=name, target=1, dwells=(2, 4))
+        assert [row["t"] for row in tracks] == [2, 3, 4]
+        assert [row["x_hat"] for row in tracks] == result.estimates[1:4, 0, 0].tolist()
+        (picture,) = opened.picture(run=name)
+        assert picture["gospa_km"] == pytest.approx(np.sqrt(np.mean(result.picture.gospa_km**2)))
+        assert len(opened.rmse(run="all")) == len(opened.summary(run="all")) == 2 * TARGETS
+        with pytest.raises(cogradar.BadInput, match="no such run"):
+            opened.p_d(run="nobody")
+        with pytest.raises(cogradar.BadInput, match=r"nowhere\.db"):
+            cogradar.open("nowhere.db")
 
 
 def test_dwells_are_given_as_a_pair_or_as_on_the_command_line(file: str) -> None:

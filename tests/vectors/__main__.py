@@ -8,6 +8,7 @@ import argparse
 import sqlite3
 import sys
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 from tests.vectors import foreign
@@ -15,7 +16,8 @@ from tests.vectors.cases import FILE, lines
 
 
 def _recorded(journal: str) -> None:
-    with sqlite3.connect(f"file:{journal}?mode=ro", uri=True) as store, tempfile.TemporaryDirectory() as folder:
+    opened = sqlite3.connect(f"file:{journal}?mode=ro", uri=True)
+    with closing(opened) as store, tempfile.TemporaryDirectory() as folder:
         if foreign.MISSING:
             sys.exit(foreign.MISSING)
         payloads = [row[0] for row in store.execute("SELECT payload FROM message")]
