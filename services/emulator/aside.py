@@ -1,17 +1,22 @@
 """A front end in another process, asked aside: in lockstep, where nothing is late, the emulator need not wait for it.
 
-Its calls are made in a thread of its own. Meanwhile other runs go on, and the run can be cancelled.
+Its calls are made in a thread of its own. Meanwhile other runs go on, and the run can be cancelled. Runs that share a
+front end take turns at it: a process that knows one run at a time would else be opened for another before its answer.
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from threading import Event
+from contextlib import contextmanager
+from threading import Event, Lock
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, ScanData, Transmission
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 AT_ONCE_S = 0.1  # so long all wait for a dwell: a front end that is well answers within it
+TURN_S = 2.0  # after which others no longer wait for the run whose turn it is: it is silent
+LOOK_S = 0.1  # from a look whether a turn is still waited for to the next
 
 Check = Callable[[], None]  # raises to give up what is waited for
 
@@ -29,22 +34,47 @@ class OpensAside:
 
     def __init__(self, make: Callable[[Check], OpenFrontEnd], check: Check) -> None:
         """`make` gives what opens a front end and gives up where `check` raises."""
-        self._make, self._check = make, check
+        self._make, self._check, self._turns = make, check, _Turns()
 
     def __call__(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:
-        """Begin to open it. Raises FrontEndError in real time, where it is opened at once."""
+        """Open it with its first dwell; in real time at once. Raises FrontEndError."""
         if pacing_at(checkpoint.rate_hz).has_deadlines:
             return self._make(self._check)(checkpoint)
-        return Aside(self._make, self._check, checkpoint)
+        return Aside(self._make, self._check, self._turns, checkpoint)
+
+
+class _Turns:
+    """Whose turn it is at a front end."""
+
+    def __init__(self) -> None:
+        self._lock, self._since_s = Lock(), 0.0
+
+    @contextmanager
+    def mine(self, check: Check) -> Iterator[None]:
+        """A turn; or the time after a turn that takes too long."""
+        while not (is_mine := self._lock.acquire(timeout=LOOK_S)):
+            check()
+            if time.monotonic() - self._since_s > TURN_S:
+                break
+        if is_mine:
+            self._since_s = time.monotonic()
+        try:
+            yield
+        finally:
+            if is_mine:
+                self._lock.release()
 
 
 class Aside:
-    """One run's front end, which may still be being opened."""
+    """One run's front end, which is opened with the first dwell."""
 
-    def __init__(self, make: Callable[[Check], OpenFrontEnd], check: Check, checkpoint: EmulatorCheckpoint) -> None:
-        self._is_closed, self._outer = Event(), check
+    def __init__(
+        self, make: Callable[[Check], OpenFrontEnd], check: Check, turns: _Turns, checkpoint: EmulatorCheckpoint
+    ) -> None:
+        self._outer, self._turns, self._checkpoint, self._is_closed = check, turns, checkpoint, Event()
+        self._opens = make(self._check)
+        self._open: FrontEnd | None = None
         self._thread = ThreadPoolExecutor(1, f"front end of {checkpoint.run}")
-        self._opened = self._thread.submit(make(self._check), checkpoint)
         self._asked: tuple[int, Future[ScanData | None]] | None = None  # dwell and its answer
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
@@ -59,22 +89,24 @@ class Aside:
         return answer.result()
 
     def close(self) -> None:
-        """Give up what is waited for. Its thread switches it off and ends, if it was opened."""
+        """Give up what is waited for. Its thread switches it off, if it is open, and ends."""
         self._is_closed.set()
         self._thread.submit(self._close)
         self._thread.shutdown(wait=False)
 
     def _transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
-        try:
-            front_end = self._opened.result()
-        except FrontEndError as error:
-            raise CannotOpen(str(error)) from error
-        self._check()
-        return front_end.transmit(k, t, waveform)
+        with self._turns.mine(self._check):
+            self._check()
+            if self._open is None:
+                try:
+                    self._open = self._opens(self._checkpoint)
+                except FrontEndError as error:
+                    raise CannotOpen(str(error)) from error
+            return self._open.transmit(k, t, waveform)
 
     def _close(self) -> None:
-        if self._opened.exception() is None:
-            self._opened.result().close()
+        if self._open is not None:
+            self._open.close()
 
     def _check(self) -> None:
         self._outer()

@@ -7,6 +7,7 @@ from contextlib import closing, contextmanager
 import pytest
 
 from cogradar.services.emulator import foreign
+from cogradar.services.emulator.aside import TURN_S
 from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.front_ends import open_front_end
 from cogradar.shared.protocol.events import Tick
@@ -53,19 +54,37 @@ def test_other_runs_go_on_and_the_run_of_a_silent_front_end_can_be_cancelled() -
     with Device(answer) as device, _emulator(device.endpoint) as core:
         began = time.monotonic()
         assert list(core.handle(_begin("a"))) == []
-        first = list(core.handle(_begin("b"))) or _ticked(core, 2.0)
+        first = list(core.handle(_begin("b"))) or _ticked(core, TURN_S + 2.0)
         assert [(type(message), message.run) for message in first] == [(Scan, "b")]
-        before_s = core.wake_s
+        before_s, cancelled = core.wake_s, time.monotonic()
         core.handle(_begin("a", ended=True))
-        after_s = core.wake_s
+        after_s, done = core.wake_s, time.monotonic()
         assert before_s is not None
         assert after_s is None
-        assert time.monotonic() - began < 2.0
+        assert done - cancelled < 0.1
+        assert done - began < foreign.PATIENCE_S / 2.0
         time.sleep(0.2)  # in which its thread ends
         asked = sum(one.run == "a" for one in device.asked)
         assert asked > 0
-        time.sleep(0.7)  # it would have been asked again after 10, 40, 160 and 640 ms
+        time.sleep(0.9)  # it would have been asked again after 10, 40, 160, 640 and 2560 ms
         assert sum(one.run == "a" for one in device.asked) == asked
+
+
+def test_runs_take_turns_at_a_front_end_that_knows_one_at_a_time() -> None:
+    answers, runs = simulated(checkpoint(START)), [f"r{i}" for i in range(6)]
+
+    def answer(device: Device, asked: Transmit) -> Answer:
+        time.sleep(0.12)  # longer than the emulator waits at once
+        if device.openings[-1].run != asked.run:
+            return Answer(b"is not open", is_error=True)
+        return answers(device, asked)
+
+    with Device(answer) as device, _emulator(device.endpoint) as core:
+        said = [message for run in runs for message in core.handle(_begin(run))]
+        while len(said) < len(runs):
+            said += _ticked(core, 5.0)
+    assert sorted((message.run, type(message)) for message in said) == [(run, Scan) for run in runs]
+    assert len(device.asked) == len(runs)  # none was refused
 
 
 def test_a_slow_front_end_is_asked_once_a_dwell_and_the_run_is_the_same() -> None:
