@@ -88,10 +88,11 @@ def test_all_parts_are_used_and_none_is_empty() -> None:
 
 
 def test_the_reference_has_what_the_program_has() -> None:
-    assert all(f"### {topic.message.__name__}\n" in PARTS["messages"]() for topic in TOPICS)
-    assert all(f"`cogradar_{name}" in PARTS["metrics"]() for name in METRICS)
+    messages, metrics, commands = (PARTS[name]() for name in ("messages", "metrics", "commands"))
+    assert all(f"### {topic.message.__name__}\n" in messages for topic in TOPICS)
+    assert all(f"`cogradar_{name}" in metrics for name in METRICS)
     names = [command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands]
-    assert all(f"### cogradar {name}\n" in PARTS["commands"]() for name in names)
+    assert all(f"### cogradar {name}\n" in commands for name in names)
     keys = PARTS["scenario keys"]()
     assert "| `p_fa` | number | 1e-09 to 0.1 |" in keys
     assert "| `filter` | one of `likelihood`, `published`, `gaussian` |" in keys

@@ -91,7 +91,7 @@ def test_the_example_with_range_cells_tracks_both_aircraft(example: Path) -> Non
     assert {(row["target"], row["bin"]) for row in rows} == {(1, 3), (2, 11)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_a_receiver_by_udp_that_loses_datagrams_and_has_outages_loses_no_track(
     example: Path, monkeypatch: pytest.MonkeyPatch

@@ -172,8 +172,8 @@ def undisturbed() -> str:
 @pytest.mark.parametrize(
     "victim",
     [
-        *("planner-0", "recorder", "metrics", "router"),
-        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("planner", "emulator", "allocator")),
+        *("planner-0", "recorder", "router"),
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("planner", "emulator", "allocator", "metrics")),
     ],
 )
 def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
