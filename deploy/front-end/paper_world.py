@@ -225,6 +225,8 @@ class PaperWorld:
         """What the radar is, as its scenario says."""
         radar = opening["radar"]
         self.n_tx, self.n_rx, self._n_bin = (radar["array"][name] for name in ("n_tx", "n_rx", "n_bin"))
+        if radar["receiver"]["cells"] != "bins" or self.n_tx % 2:
+            raise ValueError("this is the world of paper: radar.receiver.cells must be bins, radar.array.n_tx even")
         self._amplitude = 10.0 ** (radar["echo"]["amplitude_db"] / 20.0)
         self._dt_s, self._sigma = radar["motion"]["dt_s"], radar["motion"]["sigma_s_km_s2"]
         self._seed, self._states = seed, [np.array(TARGETS)]  # at clock 0, 1, ..

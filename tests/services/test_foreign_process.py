@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from cogradar.services import kernels
-from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.errors import BadInput, RunFailed, StoreFailed
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
 from cogradar.services.runs.continuity import continuity
@@ -103,6 +103,14 @@ def test_the_world_of_paper_has_one_digest_in_numpy_and_simulated(seed: int, dwe
         no_world = start.model_copy(update={"scenario": start.scenario | {"world": None}})
         foreign = in_process.play(no_world, front_end=f"zenoh:roof@{endpoint}")
     assert foreign.run["digest"] == in_process.play(start).run["digest"]
+
+
+def test_the_world_of_paper_refuses_a_radar_that_is_not_its_own() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    start = RunStart.of(load("smoke", ["radar.receiver.cells=steered"]), Strategy.POWER_AWARE, 1, 5)
+    start = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    with _front_end(endpoint, example="paper_world.py"), pytest.raises(RunFailed, match="cells must be bins"):
+        in_process.play(start, front_end=f"zenoh:roof@{endpoint}")
 
 
 @pytest.mark.slow
