@@ -8,7 +8,6 @@ import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from itertools import count
 from pathlib import Path
 
 from filelock import lock_descriptor
@@ -22,6 +21,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
+MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends
 
@@ -106,7 +106,7 @@ def _lock() -> None:
     """Show, until this process ends, that its kernels are in use."""
     if CACHE_DIR in _locks:
         return
-    for n in count():
+    for n in range(MAX_USERS):
         file = os.open(CACHE_DIR / f"in-use.{n}", os.O_WRONLY | os.O_CREAT)
         with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
             if not lock_descriptor(file, blocking=False):
