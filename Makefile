@@ -22,7 +22,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -53,6 +53,12 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
+
+# Five minutes. The first time half an hour more, to install and to compile kernels under QEMU: machines stay in /var/tmp.
+test-arm: setup ## test ARM64 under QEMU, alone and beside x86-64; needs root, debootstrap and qemu-user-static
+	tests/arm/machine.sh arm64
+	tests/arm/machine.sh amd64
+	$(BIN)/python -m pytest -m arm -o faulthandler_timeout=3600 $(ARGS) tests/arm
 
 # The tests of one file share its runs, and stay in one process; those by the clock have nothing beside them.
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
