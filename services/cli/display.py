@@ -23,8 +23,8 @@ from cogradar.services.analysis.tables import Column, Table, in_metres
 from cogradar.services.cli.console import Lines, say
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.metrics.answers import Rows
-from cogradar.services.runs.run import WINDOW, Result
 from cogradar.services.runs.run import Progress as RunProgress
+from cogradar.services.runs.run import Result, window
 from cogradar.shared.scenario.limits import NO_END, said_dwells
 
 if TYPE_CHECKING:
@@ -250,7 +250,7 @@ def run_caption(result: Result) -> str:
     """One line that identifies a run and its outcome."""
     run = result.run
     rate = run["t"] / result.elapsed_s  # not "dwells": a run without an end has none, one that was ended has more
-    windows = f", windows of {WINDOW} dwells" if result.windows else ""
+    windows = f", windows of {window(run['dwells'])} dwells" if result.windows else ""
     lines = [
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['t']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",

@@ -1,5 +1,6 @@
 """What a run is asked to be and what it comes to, however its processes are started."""
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -78,7 +79,7 @@ class Result:
         return self.run["tracks"] is None
 
 
-WINDOW = 50  # dwells per row of the table
+WINDOW, ROWS = 50, 6  # dwells per row of the table, or more of them, so that it has no more rows
 # Columns of it.
 BLIND = ("blind_cells", "blind_dwells", "blind_share", "unmeasured_looks", "unmeasured_dwells")
 PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks", *BLIND)
@@ -155,14 +156,20 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
     )
 
 
+def window(dwells: int) -> int:
+    """Dwells per row of the table of a run of so many."""
+    return WINDOW * math.ceil(dwells / (WINDOW * ROWS))
+
+
 def result(ask: Ask, start: RunStart, began: float) -> Result | None:
     """Result of a run once it is complete, else None; `began` is a reading of time.monotonic()."""
     rows = ask("runs", {"run": start.run})
     if not rows or rows[0]["status"] != "complete":
         return None
-    firsts = range(1, start.dwells + 1, WINDOW) if WINDOW < start.dwells < NO_END else ()
+    width = window(start.dwells)
+    firsts = range(1, start.dwells + 1, width) if width < start.dwells < NO_END else ()
     windows = [
-        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + WINDOW - 1, start.dwells)}"})
+        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + width - 1, start.dwells)}"})
         for first in firsts
     ]
     picture = next(iter(ask("picture", {"run": start.run})), {})

@@ -13,7 +13,7 @@ from cogradar.services.cli.display import RunDisplay, campaign_caption, next_ste
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.core import RecorderCore
-from cogradar.services.runs.run import Progress, Result, result
+from cogradar.services.runs.run import Progress, Result, result, window
 from tests.services.loop import play, smoke_start
 from tests.services.tables import assert_shown_whole, shown
 
@@ -111,6 +111,12 @@ def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
     assert [len(table.rows) for table in run_tables(finished)] == [3, 3]
     assert "windows" not in run_caption(short)
     assert "windows of 50 dwells" in run_caption(finished)
+
+
+@pytest.mark.parametrize(("dwells", "width"), [(1, 50), (300, 50), (301, 100), (1200, 200), (100_000, 16_700)])
+def test_a_long_run_has_no_more_than_six_windows(dwells: int, width: int) -> None:
+    assert window(dwells) == width
+    assert 0 < dwells <= 6 * width
 
 
 def test_a_lost_target_is_marked_and_the_caption_says_what_that_means(finished: Result) -> None:
