@@ -21,6 +21,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
+EACH_S = 15.0  # how far it is, is said
 MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends
@@ -49,22 +50,32 @@ def compile_all(report: Callable[[str], None], stop: threading.Event | None = No
             _lock()
         if not are_compiled():
             when = "for this command only" if NOT_KEPT else "once after an installation or a change of the sources"
-            report(f"compiling kernels: {when}, about a minute")
-            _compile(stop)
+            report(f"compiling kernels: {when}, a minute or two")
+            _compile(report, stop)
         if CACHED:
             _mark()
     except OSError as error:
         raise RunFailed(printable(f"{error.filename or CACHE_DIR}: {error.strerror or error}")) from None
 
 
-def _compile(stop: threading.Event | None) -> None:
+def _compile(report: Callable[[str], None], stop: threading.Event | None) -> None:
     from cogradar.services.planner.decision import warm_up
     from cogradar.services.runs.in_process import play
     from cogradar.shared.tracking.model import TrackerModel
 
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
-    with compiling(check):
+    n, next_s = 0, time.monotonic() + EACH_S
+
+    def begin() -> None:
+        nonlocal n, next_s
+        check()
+        n += 1
+        if time.monotonic() >= next_s:
+            report(f"compiling kernels: {n} functions so far")
+            next_s = time.monotonic() + EACH_S
+
+    with compiling(begin):
         turning = {"motion": document["radar"]["motion"] | {"modes": "mixture"}}
         joint = document["radar"] | turning | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
         play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
