@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS :=
 TEST_BUDGET_S := 1800
 WITHIN_BUDGET = $(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S))
-BY_THE_CLOCK := tests/services/runs/test_real_time_run.py
+BY_THE_CLOCK := tests/services/runs/test_link_delay.py tests/services/runs/test_real_time_run.py
 PAGE := tests/services/web/page
 PAGE_BY_THE_CLOCK := $(PAGE)/test_speed.py
 # One more than there are processors, for the tests often wait: for a lease to end, for a process to start.
@@ -40,7 +40,7 @@ watch: setup ## aircraft that come and go, at 5 dwells a second, on a page until
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test, those by the clock with nothing beside them
-	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(ARGS),$(ARGS),--ignore=$(BY_THE_CLOCK))
+	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(ARGS),$(ARGS),$(addprefix --ignore=,$(BY_THE_CLOCK)))
 	@$(if $(ARGS),,$(WITHIN_BUDGET) $(BIN)/python -m pytest $(BY_THE_CLOCK))
 
 # After a change that is meant to change a digest: ARGS=--write, and the commit says why.
