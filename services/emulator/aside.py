@@ -8,15 +8,16 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from threading import Event, Lock
+from threading import Condition, Event
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, ScanData, Transmission
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 AT_ONCE_S = 0.1  # so long all wait for a dwell: a front end that is well answers within it
-TURN_S = 2.0  # after which others no longer wait for the run whose turn it is: it is silent
+TURN_S = 2.0  # after which the next one takes the turn of a run: its front end is silent
 LOOK_S = 0.1  # from a look whether a turn is still waited for to the next
+_NOBODY = object()
 
 Check = Callable[[], None]  # raises to give up what is waited for
 
@@ -47,22 +48,24 @@ class _Turns:
     """Whose turn it is at a front end."""
 
     def __init__(self) -> None:
-        self._lock, self._since_s = Lock(), 0.0
+        self._changed, self._whose, self._since_s = Condition(), _NOBODY, 0.0
 
     @contextmanager
     def mine(self, check: Check) -> Iterator[None]:
-        """A turn; or the time after a turn that takes too long."""
-        while not (is_mine := self._lock.acquire(timeout=LOOK_S)):
-            check()
-            if time.monotonic() - self._since_s > TURN_S:
-                break
-        if is_mine:
-            self._since_s = time.monotonic()
+        """A turn, if need be that of a run which takes too long."""
+        me = object()
+        with self._changed:
+            while self._whose is not _NOBODY and time.monotonic() - self._since_s <= TURN_S:
+                self._changed.wait(LOOK_S)
+                check()
+            self._whose, self._since_s = me, time.monotonic()
         try:
             yield
         finally:
-            if is_mine:
-                self._lock.release()
+            with self._changed:
+                if self._whose is me:
+                    self._whose = _NOBODY
+                    self._changed.notify()
 
 
 class Aside:
