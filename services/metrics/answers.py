@@ -109,7 +109,7 @@ def _runs(store: Store, selection: Selection) -> Rows:
 def _hindered(run: dict[str, Any], store: Store) -> dict[str, Any]:
     """What a run waits for, and what hinders it."""
     now = _now(store, run)
-    fault = f"front end: {now['fault']}" if now.get("fault") else ""
+    fault = f"not measured: {now['fault']}" if now.get("fault") else ""
     return now | {"waiting_for": "; ".join(text for text in (now["waiting_for"], run["reason"], fault) if text)}
 
 

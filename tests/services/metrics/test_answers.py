@@ -81,7 +81,7 @@ def test_a_run_in_progress_says_why_nothing_was_measured(sent: list[Message]) ->
     said = [one.model_copy(update={"fault": "no packet"}) if isinstance(one, Scan) else one for one in sent[:4]]
     (run,) = answer(_recorded(said), "runs", {})
     assert run["fault"] == "no packet"
-    assert run["waiting_for"].endswith("plan of track 1, 2 at dwell 0; front end: no packet")
+    assert run["waiting_for"].endswith("plan of track 1, 2 at dwell 0; not measured: no packet")
 
 
 def test_p_d_and_rmse_agree_with_the_rows(sent: list[Message]) -> None:
