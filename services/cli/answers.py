@@ -165,7 +165,8 @@ def export(
         str | None,
         typer.Option(
             "--what",
-            help="tracks: a row per dwell and target; detections, looks, requests, truth, waveforms: a row each;"
+            help="scores: truth beside estimates, a row per dwell and target; tracks: estimates with covariances;"
+            " detections, looks, requests, truth, waveforms: a row each;"
             " run: everything (mcap, rrd); clip: a moving picture (gif). The first that the format can hold.",
         ),
     ] = None,

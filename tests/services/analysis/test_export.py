@@ -286,6 +286,11 @@ def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, fil
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_help_says_what_can_be_written() -> None:
+    said = set(CliRunner().invoke(app, ["export", "--help"]).stdout.replace(":", ",").replace(",", " ").split())
+    assert said >= set(formats.CONTENTS)
+
+
 def test_a_run_that_has_not_begun_to_track_has_nothing_to_write(tmp_path: Path) -> None:
     begun = in_memory()
     begun.journal.add_run(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 5))
