@@ -71,6 +71,7 @@ VARIANTS: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     ),
     "equal antennas": ("starved", "power-aware", 10, ("radar.allocation.antennas=equal",)),
     "conventional beams": ("starved", "power-aware", 10, ("radar.allocation.beams=conventional",)),
+    # The one that differs between machines (ADR 42): as with OpenBLAS for AVX2.
     "reference solver": ("starved", "power-aware", 6, ("radar.allocation.solver=sdp",)),
     "array, noise of other range cells": (
         "paper-best-range",
