@@ -24,7 +24,7 @@ from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from cogradar.shared.scoring.figures import Figures, Totals
-from cogradar.shared.wire.codec import fields
+from cogradar.shared.wire.codec import BadMessage, fields
 
 Rows = list[dict[str, Any]]
 # When a run began and ended, in UTC, and how long it is by its own clock.
@@ -130,7 +130,10 @@ def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
         return {"waiting_for": "the emulator's first scan"}
     sent = store.read("SELECT topic, item, payload FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
     planned = {row["item"] for row in sent if row["topic"] == "plan"}
-    (scan,) = (fields(row["payload"]) for row in sent if row["topic"] == "scan")
+    try:
+        (scan,) = (fields(row["payload"]) for row in sent if row["topic"] == "scan")
+    except BadMessage as error:  # one run, and others are asked for with it
+        return {"waiting_for": f"scan of dwell {run['k']}: cannot be read: {error}"}
     tracks, found = list(range(1, 1 + (run["tracks"] or 0))), {"fault": scan.get("fault")}
     if run["tracks"] is None:
         roster = scan["roster"]

@@ -84,6 +84,14 @@ def test_a_run_in_progress_says_why_nothing_was_measured(sent: list[Message]) ->
     assert run["waiting_for"].endswith("plan of track 1, 2 at dwell 0; not measured: no packet")
 
 
+def test_a_run_in_progress_whose_scan_is_damaged_hides_no_other(sent: list[Message]) -> None:
+    store = _recorded(sent[:4])
+    store.journal.write("UPDATE message SET payload = x'00ff' WHERE topic = 'scan'")
+    (run,) = answer(store, "runs", {})
+    assert run["waiting_for"].startswith("scan of dwell 0: cannot be read: ")
+    assert run["fault"] is None
+
+
 def test_p_d_and_rmse_agree_with_the_rows(sent: list[Message]) -> None:
     store, asked = _recorded(sent), {"target": "2", "dwells": "3:6"}
     rows = list(answer(store, "tracks", asked))
