@@ -107,12 +107,12 @@ def test_kernels_that_cannot_even_be_shared_are_compiled_and_not_marked(
     for name, value in {"CACHED": False, "NOT_KEPT": "/x: Read-only file system", "CACHE_DIR": tmp_path}.items():
         monkeypatch.setattr(kernels, name, value)
     compiled: list[object] = []
-    monkeypatch.setattr(kernels, "_compile", compiled.append)
+    monkeypatch.setattr(kernels, "_compile", lambda _, stop: compiled.append(stop))
     sent: list[str] = []
     kernels.compile_all(sent.append)
     assert sent == [
         "compiled kernels cannot be kept in /x: Read-only file system",
-        "compiling kernels: for this command only, about a minute",
+        "compiling kernels: for this command only, a minute or two",
     ]
     assert compiled == [None]
     assert list(tmp_path.iterdir()) == []
@@ -124,7 +124,7 @@ def test_kernels_of_every_filter_and_rule_are_compiled(monkeypatch: pytest.Monke
     warmed: list[RadarConfig] = []
     monkeypatch.setattr("cogradar.services.runs.in_process.play", lambda _: None)
     monkeypatch.setattr("cogradar.services.planner.decision.warm_up", lambda radar, _: warmed.append(radar))
-    kernels._compile(None)
+    kernels._compile(lambda _: None, None)
     filters = get_args(get_args(BeliefSection.__annotations__["filter"])[0])
     assert {radar.belief.filter for radar in warmed} == set(filters)
     assert {radar.planner.rule for radar in warmed} == set(BIN_RULES)
@@ -132,7 +132,7 @@ def test_kernels_of_every_filter_and_rule_are_compiled(monkeypatch: pytest.Monke
 
 
 def test_a_full_disk_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def full(_: object) -> None:
+    def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "/x/kernel.nbi")
 
     monkeypatch.setattr(kernels, "CACHE_DIR", tmp_path)
