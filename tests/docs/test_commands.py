@@ -25,7 +25,19 @@ def _targets(folder: str) -> set[str]:
 
 
 TARGETS = {"": _targets(""), "studies": _targets("studies")}  # by folder
-OTHERS = {"cp", "dask", "docker", "kubectl", "prometheus", "python", "sed", "source", "systemctl", "systemd-sysusers"}
+OTHERS = {
+    "cp",
+    "dask",
+    "datamodel-codegen",
+    "docker",
+    "kubectl",
+    "prometheus",
+    "python",
+    "sed",
+    "source",
+    "systemctl",
+    "systemd-sysusers",
+}
 
 
 def _named(page: Path) -> str:
