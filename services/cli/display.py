@@ -261,7 +261,7 @@ def run_caption(result: Result) -> str:
             "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them"
             " over runs"
         )
-    elif not is_known:
+    elif not result.has_truth:
         lines.append("this run has no truth to compare with: P_D and errors are unknown")
     if is_known:
         lines.append(PICTURED.cell(result.picture))
@@ -285,13 +285,14 @@ def run_caption(result: Result) -> str:
     return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
 
 
-def next_steps(program: str, run: str, store: str | None, endpoint: str | None, url: str | None = None) -> str:
+def next_steps(program: str, result: Result, store: str | None, endpoint: str | None, url: str | None = None) -> str:
     """What to type next, ready to be pasted: about a store, or services at an endpoint, and HTTP if it is there."""
     if store is None and endpoint is None:
-        return "nothing was kept of it: --store FILE keeps a run, to be asked and drawn afterwards"
+        return "nothing was kept; with --store FILE the run can be asked and drawn afterwards"
+    run = result.run["run"]
     where = f"--store {quote(store)}" if store else f"--connect {endpoint}"
     lines = [f"{program} query tracks --run {run} {where}"]
-    lines += [f"{program} figures {quote(store)} --out figures"] if store else []
+    lines += [f"{program} figures {quote(store)} --out figures"] if store and result.has_truth else []
     lines += [f"{program} export {run} {where} --out {run}.csv", f"{program} replay {run} {where} --to planner"]
     lines += [f"curl {url}/api/v1/runs/{run}/summary"] if url is not None else []
     return "\n".join(["next:", *(f"  {line}" for line in lines)])

@@ -151,7 +151,7 @@ def _show(
     else:
         print_tables(out, run_tables(result))
         say(run_caption(result))
-        say(next_steps(program(), result.run["run"], store, endpoint, url))
+        say(next_steps(program(), result, store, endpoint, url))
 
 
 def _remarks(*, turns: int, ignores_world: bool, endless: str | None) -> list[str]:

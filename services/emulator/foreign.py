@@ -67,7 +67,8 @@ class OpensForeign:
         try:
             line = Line(self._name, self._endpoints, within_s, self._check)
         except ConnectionError as error:
-            raise FrontEndError(f"{self._name}: {error}; start the front end first") from None
+            cure = "start the front end first" if checkpoint.k == 0 else f"it was there until dwell {checkpoint.k}"
+            raise FrontEndError(f"{self._name}: {error}; {cure}") from None
         try:
             return ForeignFrontEnd.open(self._name, settings, checkpoint.radar, line, within_s)
         except BaseException:

@@ -78,6 +78,11 @@ class Result:
         """Whether nobody told the radar how many targets there are."""
         return self.run["tracks"] is None
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether errors are known: of targets, or of a sky in which there was none."""
+        return self.picture.get("gospa_km") is not None or any(row["p_d"] is not None for row in self.targets)
+
 
 WINDOW, ROWS = 50, 6  # dwells per row of the table, or more of them, so that it has no more rows
 # Columns of it.

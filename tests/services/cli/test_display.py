@@ -187,13 +187,16 @@ def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None
     assert [column.heading for column in run_tables(blind)[0].columns] == ["dwells", "power"]
 
 
-def test_what_to_type_next_can_be_pasted() -> None:
-    assert "--store FILE" in next_steps("cogradar", "smoke-1", None, None)
-    kept = next_steps("./cogradar", "smoke-1", "a b.db", None).splitlines()
+def test_what_to_type_next_can_be_pasted(finished: Result) -> None:
+    result = replace(finished, run=finished.run | {"run": "smoke-1"})
+    assert "--store FILE" in next_steps("cogradar", result, None, None)
+    kept = next_steps("./cogradar", result, "a b.db", None).splitlines()
     assert kept[0] == "next:"
     assert {shlex.split(line)[1] for line in kept[1:]} == {"query", "figures", "export", "replay"}
     assert all("a b.db" in shlex.split(line) for line in kept[1:])
-    asked, *others = next_steps("cogradar", "smoke-1", None, "tcp/a:1", "http://a:80").splitlines()[1:]
+    blind = replace(result, picture={}, targets=[row | {"p_d": None} for row in result.targets])
+    assert "figures" not in next_steps("./cogradar", blind, "a b.db", None)  # they compare with the truth
+    asked, *others = next_steps("cogradar", result, None, "tcp/a:1", "http://a:80").splitlines()[1:]
     assert [line.split()[1] for line in others] == ["export", "replay", "http://a:80/api/v1/runs/smoke-1/summary"]
     assert all("--connect tcp/a:1" in line for line in others[:2])
     assert asked.strip() == "cogradar query tracks --run smoke-1 --connect tcp/a:1"
