@@ -261,7 +261,7 @@ def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tm
     kernels.compile_all(lambda _: None)
     other = shutil.copytree(folder, tmp_path / "other")
     (other / "rule.py").write_text((folder / "rule.py").read_text() + "\n# changed\n")
-    start = _start(folder, dwells=300)  # which takes longer than to be asked for twice
+    start = _start(folder, dwells=1000)  # which takes longer than to be asked for a few times
     expected = in_process.play(start).run["digest"]
     told: list[str] = []
     with Launcher(LocalProcesses(2), threading.Event()) as launcher:

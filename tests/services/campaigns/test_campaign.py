@@ -206,6 +206,7 @@ def test_the_program_is_all_that_can_change_a_result() -> None:
     assert direct - set(LIBRARIES) == {
         "cryptography",
         "eclipse-zenoh",
+        "filelock",
         "geographiclib",
         "matplotlib",
         "plotly",

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -184,7 +185,7 @@ def test_a_whole_system_goes_on_when_there_is_room(disk: Path, pace: tuple[str, 
         running.kill()
     assert running.returncode == 0, errors
     found = json.loads(output)
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db:
         ((status, k),) = db.execute("SELECT status, acknowledged_k FROM run").fetchall()
         scans = [row[0] for row in db.execute("SELECT k FROM message WHERE topic = 'scan' ORDER BY k")]
     assert status == "complete"
@@ -209,7 +210,7 @@ def _recorded(path: Path) -> int:
     if not path.exists():
         return 0
     try:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as db:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as db:
             return int(db.execute("SELECT COALESCE(SUM(acknowledged_k), 0) FROM run").fetchone()[0])
     except sqlite3.OperationalError:
         return 0
