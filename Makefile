@@ -52,7 +52,7 @@ golden: setup ## compare the digests of all shipped scenarios with services/benc
 test-docker: setup ## test the containers and three hosts; needs a Docker engine with Compose, and root for the hosts
 	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "(docker or netns) and not nightly" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
 # Five minutes. The first time half an hour more, to install and to compile kernels under QEMU: machines stay in /var/tmp.
 test-arm: setup ## test ARM64 under QEMU, alone and beside x86-64; needs root, debootstrap and qemu-user-static
@@ -75,7 +75,8 @@ screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's sce
 # An interrupted simulation goes on where it was. After a change of the program: SIMULATED=build/new.json
 SIMULATED := build/simulated.json
 nightly: setup ## what takes too long for every change: the nightly tests, make chaos, a million simulated schedules
-	$(BIN)/python -m pytest -m nightly -o faulthandler_timeout=3600 $(ARGS)
+	$(BIN)/python -m pytest -m "nightly and not (docker or netns)" -o faulthandler_timeout=3600 $(ARGS)
+	docker info >/dev/null && $(BIN)/python -m pytest -m "nightly and (docker or netns)" tests/containers
 	$(MAKE) chaos
 	@mkdir -p $(dir $(SIMULATED))
 	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)

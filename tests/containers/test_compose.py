@@ -118,7 +118,7 @@ def test_a_planner_cut_off_the_network_for_six_seconds_changes_no_digest(digests
 
 
 @needs_root
-@pytest.mark.parametrize("service", ["recorder", "metrics"])
+@pytest.mark.parametrize("service", ["recorder", pytest.param("metrics", marks=pytest.mark.nightly)])
 def test_a_crash_of_recorder_or_metrics_changes_no_digest(service: str, digests: dict[int, str]) -> None:
     run = Run(LONG)
     run.wait_until(10)

@@ -47,7 +47,7 @@ def test_three_hosts_give_the_digest_of_one_process(hosts: Hosts, digest: str) -
     assert hosts.play("--dwells", str(DWELLS)).result()["digest"] == digest
 
 
-@pytest.mark.parametrize("way", ["unplugged", "silent"])
+@pytest.mark.parametrize("way", [pytest.param("unplugged", marks=pytest.mark.nightly), "silent"])
 def test_a_link_cut_for_six_seconds_changes_no_digest(hosts: Hosts, digest: str, way: str) -> None:
     cut: Callable[[str], None] = (
         (lambda h: hosts.link(h, "down")) if way == "unplugged" else (lambda h: hosts.lose(h, "-i", "eth0"))

@@ -294,20 +294,21 @@ def test_everything_has_its_place_on_a_phone(stored: str, show: Open, watched: W
     assert small == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open, scheme: str) -> None:
-    page = show(f"{stored}/?run=wandering&dwell=50&target=1", color_scheme=scheme)
+def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=50&target=1")
     expect(page.locator("#dwell")).to_have_text("50")
-    names = page.evaluate(
-        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg', 'on-warn']"
-        ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
-    )
-    low = {
-        (name, ground): _contrast(names[name], names[ground])
-        for name in ("ink", "muted", "alarm", "warn", "good", "accent")
-        for ground in ("panel", "bg")
-    } | {("on-warn", "warn"): _contrast(names["on-warn"], names["warn"])}
-    assert {pair: ratio for pair, ratio in low.items() if ratio < 4.5} == {}
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        names = page.evaluate(
+            "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg', 'on-warn']"
+            ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
+        )
+        low = {
+            (name, ground): _contrast(names[name], names[ground])
+            for name in ("ink", "muted", "alarm", "warn", "good", "accent")
+            for ground in ("panel", "bg")
+        } | {("on-warn", "warn"): _contrast(names["on-warn"], names["warn"])}
+        assert {pair: ratio for pair, ratio in low.items() if ratio < 4.5} == {}, scheme
     for control in page.locator("button:visible, a:visible, select:visible, input:visible, canvas:visible").all():
         if control.get_attribute("aria-hidden") != "true":
             assert control.evaluate("e => e.ariaLabel || e.innerText || e.labels?.[0]?.innerText"), control
