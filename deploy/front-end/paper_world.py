@@ -3,7 +3,7 @@
     python paper_world.py roof --listen tcp/127.0.0.1:7448 --seed 3
     cogradar run paper --seed 3 --front-end zenoh:roof@tcp/127.0.0.1:7448
 
-It imports no cogradar, and the digest is that of `cogradar run paper --seed 3`. For that each number has the last bit
+It imports no cogradar, and `cogradar run paper --seed 3` has the same digest. For that each number has the last bit
 of cogradar's: sums have one order (`last`, `product`), complex products are taken by their parts (`times`), and nothing
 of BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). Symbols are those of docs/explanation/model.md.
 """

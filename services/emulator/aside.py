@@ -52,7 +52,7 @@ class _Turns:
 
     @contextmanager
     def mine(self, check: Check) -> Iterator[None]:
-        """A turn, if need be that of a run which takes too long."""
+        """A turn, if need be taken from a run that is too slow."""
         me = object()
         with self._changed:
             while self._whose is not _NOBODY and time.monotonic() - self._since_s <= TURN_S:
