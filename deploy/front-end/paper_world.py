@@ -5,7 +5,7 @@
 
 It imports no cogradar, and `cogradar run paper --seed 3` has the same digest. For that each number has the last bit
 of cogradar's: sums have one order (`last`, `product`), complex products are taken by their parts (`times`), and nothing
-of BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). Symbols are those of docs/explanation/model.md.
+of BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). docs/explanation/model.md has the symbols.
 """
 
 import hashlib

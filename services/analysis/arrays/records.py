@@ -80,7 +80,7 @@ def flat(columns: Mapping[str, NDArray[Any]], *, real: bool = True) -> Columns:
 
 
 def in_parts(columns: Mapping[str, NDArray[Any]]) -> Columns:
-    """Columns without complex numbers, of which each has two: `_real` and `_imag`."""
+    """The same columns, a complex one as two: `_real` and `_imag`."""
     return {part: one for name, values in columns.items() for part, one in _parts(name, values).items()}
 
 

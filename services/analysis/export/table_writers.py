@@ -65,7 +65,7 @@ def write_parquet(columns: Table, stream: BinaryIO) -> None:
 
 
 def write_netcdf(columns: Table, file: Path) -> None:
-    """NetCDF 4: a variable per column, of dimension `row` and those of its vectors or matrices; what is unknown is NaN.
+    """NetCDF 4: a variable per column, of dimension `row` and one per side of a matrix; unknown values are NaN.
 
     Which run it is stands in the attributes of the file. Raises BadInput without netCDF4.
     """

@@ -33,7 +33,7 @@ class _Generator(GenerateJsonSchema):
 
 
 def envelope(kind: type[Message], template: str = DEFAULT_REF_TEMPLATE) -> Schema:
-    """Schema of a message, which refers to that of its body by the name of its kind."""
+    """Schema of a message; the body is a reference by the name of its kind."""
     return {
         "title": f"{kind.__name__}{ENVELOPE}",
         "description": _text(kind),
@@ -87,7 +87,7 @@ def document() -> Schema:
 
 
 def _say_how_arrays_are_packed(schema: Any) -> None:
-    """Put into the schema of each array, which is that of its form in JSON, what it is in MessagePack."""
+    """Add to the schema of each array, which describes its JSON form, its packing in MessagePack."""
     parts = list(schema.values()) if isinstance(schema, dict) else schema if isinstance(schema, list) else []
     if isinstance(schema, dict) and {"dtype", "shape", "values"} == schema.get("properties", {}).keys():
         of = schema["properties"]
