@@ -14,7 +14,8 @@ RESULTS := build/paper
 COMMA := ,
 RUN_STORE := build/run.db
 LITERAL_RUNS := 30
-PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Twice quiet: errors only, no warnings about the package sources that this machine is configured for.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 # Where an image sets this, every process would compile the sources of NumPy, SciPy and Numba that it imports, all of
@@ -22,7 +23,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability notice release sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -200,6 +201,18 @@ build/image.txt: requirements.lock pyproject.toml | setup
 	@mkdir -p build
 	@$(BIN)/uv pip compile --quiet --no-header --no-annotate --constraint requirements.lock pyproject.toml --output-file build/wanted.txt
 	@$(BIN)/python deploy/container/dependencies.py requirements.lock build/wanted.txt >$@
+
+# The versions of requirements.lock, the licences that the packages state.
+notice: setup ## list the libraries that cogradar needs at run time, with their licences, in NOTICE
+	$(BIN)/python -m docs.generator.notice
+
+# What a user gets: both files are checked, and each is installed into an empty environment, with what the lock says, in
+# which the first run is played. Kernels compile there as they would for a user.
+release: build/image.txt ## build wheel and source distribution into build/dist, check, install and try each
+	rm -rf build/dist build/release
+	$(BIN)/uv build --quiet --no-build-isolation --out-dir build/dist
+	$(BIN)/twine check --strict build/dist/*
+	for file in build/dist/*; do PYTHON=$(BIN)/python deploy/release/try.sh $$file build/image.txt || exit 1; done
 
 sbom: build/image.txt ## what is in the image, as CycloneDX, into build/sbom.json
 	@PYTHONWARNINGS=ignore $(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible --output-file build/sbom.json $<
