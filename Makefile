@@ -70,7 +70,7 @@ test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt instal
 node: ## what some tests run in Node; needs npm
 	npm ci --prefix tests/node --ignore-scripts --no-audit --no-fund
 
-screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
+screenshots: setup ## draw docs/figures/page-* (pictures, and ten seconds with a planner killed) from a run of the paper's scenario; needs Chromium
 	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page
 
 # An interrupted simulation goes on where it was. After a change of the program: SIMULATED=build/new.json
@@ -114,6 +114,7 @@ paper: setup ## the paper's tables and figures: to the letter, robust and best, 
 		--store $(RESULTS)-literal.db --resume $(ARGS)
 	$(BIN)/cogradar campaign paper-best --runs 100 --strategies power-aware --store $(RESULTS)-best.db --resume $(ARGS)
 	$(BIN)/cogradar report $(RESULTS)-literal.db $(RESULTS).db $(RESULTS)-best.db --into docs/results.md
+	$(BIN)/python -m docs.generator.readme
 	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
 
 # What each part buys beyond the paper; a sweep's store is named like the markers of its tables. After a change of the
