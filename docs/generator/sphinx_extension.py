@@ -22,7 +22,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "supported radars": scenario.radars,
     "supported looks": scenario.looks,
     "topics": messages.topics,
-    "who tells whom": messages.readers,
+    "senders and readers": messages.readers,
     "other keys": messages.keys,
     "messages": messages.messages,
     "parts of messages": messages.parts,
