@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cogradar.services.delivery.pacing import COASTED_S
 from cogradar.services.planner.owned_track import OwnedTrack
@@ -15,10 +17,13 @@ from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.process import Process
 from cogradar.services.simulation.schedule import LEASE_S, Fault, Kind
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform, roster_of
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth, Waveform, roster_of
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import coast
 from cogradar.shared.wire.membership import LEAVE_AFTER_S
 from cogradar.shared.wire.session import LEASE_MS
 
@@ -26,6 +31,8 @@ NAMES = ("recorder-0", "emulator-0", "allocator-0", "planner-0", "planner-1")
 UNKNOWN = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2")
 TRAFFIC = "deploy/scenarios/traffic.toml"
 RATE_HZ, AT_S, SECONDS = 5.0, 5.0, 10.0
+COASTED = 15  # dwells after the last plan that are looked at
+UNLIKELY = 18.5  # chi square of four: one of a thousand is farther
 TICKS_S = 0.75  # until the recorder looks, and its checkpoint comes
 
 
@@ -34,15 +41,18 @@ class Heard(Cluster):
     """A cluster that notes when tracks are planned for, and which are there."""
 
     plans: dict[int, list[tuple[float, str, Plan]]] = field(default_factory=lambda: defaultdict(list))
+    truths: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # (M, 4), by dwell
     rosters: list[tuple[float, frozenset[int]]] = field(default_factory=list)
 
     def __init__(self, seed: int, disk: Disk) -> None:
         super().__init__(seed, disk)
-        self.plans, self.rosters = defaultdict(list), []
+        self.plans, self.truths, self.rosters = defaultdict(list), {}, []
 
     def publish(self, sender: Process, message: Message) -> None:
         if isinstance(message, Plan):
             self.plans[message.target].append((self.now_s, sender.name, message))
+        if isinstance(message, Truth):
+            self.truths[message.k] = message.states
         if isinstance(message, Waveform):
             self.rosters.append((self.now_s, frozenset(roster_of(message).ids.tolist())))
         super().publish(sender, message)
@@ -143,6 +153,47 @@ def test_a_planner_that_is_gone_ends_no_track(
     for m in orphans:
         assert cluster.plans[m][-1][1] == "planner-1"
         assert cluster.longest_s(m) <= max(WITHIN_S, MISSED / rate_hz) + 1.0 / rate_hz + TICKS_S
+
+
+def _restart_both(cluster: Cluster, name: str) -> None:
+    """So that nobody has the scans."""
+    for planner in (name, "planner-1"):
+        _restart(cluster, planner)
+
+
+@pytest.mark.parametrize("fault", [_kill, _hang, _freeze, _restart_both])
+def test_estimates_of_the_new_owner_are_where_the_old_one_would_have_coasted_to(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch, fault: Callable[[Cluster, str], None]
+) -> None:
+    """And as near to the target as a belief that has coasted since the last plan says, in each dwell from then on."""
+    states: dict[tuple[int, int], tuple[TrackerModel, TrackState]] = {}
+    whole = OwnedTrack.observe
+
+    def observe(track: OwnedTrack, scan: Detections, model: TrackerModel) -> None:
+        whole(track, scan, model)
+        states.setdefault((track.state.target, track.state.k), (model, track.state))
+
+    monkeypatch.setattr(OwnedTrack, "observe", observe)
+    cluster = _played(disk, RATE_HZ, lambda cluster: fault(cluster, "planner-0"))
+    taken_over = 0
+    for m in cluster.confirmed(AT_S):
+        last, owner = max((plan.k, name) for when, name, plan in cluster.plans[m] if when < AT_S)
+        if owner != "planner-0":
+            continue
+        model, state = states[m, last]
+        target = np.argmin(np.linalg.norm(cluster.truths[last] - state.belief.moments()[0], axis=1))
+        for plan in [plan for _, _, plan in cluster.plans[m] if last < plan.k <= last + COASTED]:
+            mean, covariance = coast(model, state, plan.k + 1).belief.moments()
+            assert _distance(plan.estimate - mean, covariance) < UNLIKELY
+            assert _distance(plan.estimate - cluster.truths[plan.k][target], covariance) < UNLIKELY
+            assert np.trace(plan.covariance[::2, ::2]) < np.trace(covariance[::2, ::2])
+            taken_over += 1
+    assert taken_over
+
+
+def _distance(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """Squared, in standard deviations."""
+    return float(error @ np.linalg.solve(covariance, error))
 
 
 @pytest.mark.parametrize("name", ["allocator-0", "emulator-0", "recorder-0", "planner-0"])
