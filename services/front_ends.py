@@ -17,6 +17,7 @@ from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFr
 from cogradar.services.emulator.own_thread import OpensInOwnThread
 from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.endpoints import fault_of
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
@@ -68,6 +69,9 @@ def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFront
             f"{name}: no front end can know the router of this run: say where it listens, as in"
             f" {_ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
         )
+
+    if fault := fault_of(endpoints):
+        raise BadInput(f"{name}: {fault}")
 
     def opens(check: Check) -> OpenFrontEnd:
         return OpensForeign(called, endpoints.split(","), check)

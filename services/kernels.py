@@ -22,6 +22,7 @@ from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
 EACH_S = 15.0  # how far it is, is said
+FUNCTIONS = 420  # that there are to compile, some: an earlier start may have made a part of them
 MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends
@@ -72,7 +73,7 @@ def _compile(report: Callable[[str], None], stop: threading.Event | None) -> Non
         check()
         n += 1
         if time.monotonic() >= next_s:
-            report(f"compiling kernels: {n} functions so far")
+            report(f"compiling kernels: {n} of some {max(FUNCTIONS, n)} functions")
             next_s = time.monotonic() + EACH_S
 
     with compiling(begin):

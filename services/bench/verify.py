@@ -94,16 +94,16 @@ class EmptyCells(NamedTuple):
 def verify(report: Callable[[str], None] = lambda _: None) -> list[Check]:
     """All checks, of the paper's array and disturbance; `report` is told what begins."""
     paper = load("paper")
-    report("cells")
+    report("1 of 5: cells without a target")
     cells = empty_cells(paper)
     checks = [*false_alarms(cells), *detection(paper, cells), *spectrum(cells)]
-    report("receivers")
+    report("2 of 5: receivers that tell echoes apart")
     checks += receivers()
-    report("range cells")
+    report("3 of 5: noise from range cells")
     checks += noise_from_range_cells()
-    report("allocation")
+    report("4 of 5: power allocation")
     checks += allocation(paper)
-    report("beliefs")
+    report("5 of 5: beliefs")
     return [*checks, *consistency(paper)]
 
 
@@ -383,8 +383,9 @@ def _share(name: str, hits: int, n: int, p: float) -> Check:
 def table(checks: Sequence[Check]) -> Table:
     """One line per check."""
     columns = (
-        *(Column("check", "{name}", left=True), Column("expected", "{expected:.4g}")),
-        *(Column("interval", "{low:.4g} .. {high:.4g}"), Column("measured", "{measured:.4g}"), Column("", "{verdict}")),
+        *(Column("", "{verdict}", left=True), Column("check", "{name}", left=True)),
+        *(Column("measured", "{measured:.4g}"), Column("interval", "{low:.4g} .. {high:.4g}")),
+        Column("expected", "{expected:.4g}"),  # last: where there is no room, the interval says enough
     )
     rows = [check.as_json() | {"verdict": "ok" if check.passed else "FAIL"} for check in checks]
     return Table("", columns, rows, bold=frozenset(i for i, check in enumerate(checks) if not check.passed))

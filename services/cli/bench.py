@@ -150,7 +150,7 @@ def verify(as_json: JsonOption = False) -> None:
     console = err if as_json else out
     with command() as stop:
         kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with progress(console) as tell:
+        with progress(console, each_s=0.0) as tell:
             stop.at_once = True
             checks = verification.verify(tell)
             digest = golden.digest()

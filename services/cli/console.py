@@ -5,7 +5,6 @@ import errno
 import io
 import json
 import os
-import re
 import signal
 import sys
 import textwrap
@@ -21,6 +20,7 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
+from cogradar.services import endpoints as written
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
@@ -55,22 +55,15 @@ def _shown(text: Any) -> Any:
 out = _Printable(markup=False, emoji=False, highlight=False)
 err = _Printable(markup=False, emoji=False, highlight=False, stderr=True)
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = written.DEFAULT
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # as in cogradar.shared.wire.session, which is too slow to import for a line of help
-# Protocol and place, then what Zenoh takes besides: ?metadata and #settings of the link.
-_ENDPOINT = re.compile(
-    r"(?:tcp|tls|udp|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\[\]/\s:]+):(\d{1,5})(?:[?#]\S*)?|unixsock-stream/\S+"
-)
 
 
 def endpoints(text: str | None) -> str | None:
     """One or several endpoints of routers, as they were given. Raises BadParameter for anything else."""
-    for endpoint in text.split(",") if text is not None else ():
-        found = _ENDPOINT.fullmatch(endpoint)
-        if found is None or int(found[1] or 0) > 65535:
-            places = f"{DEFAULT_ENDPOINT}, tls/HOST:PORT, udp/, quic/ or ws/HOST:PORT, unixsock-stream/PATH"
-            raise typer.BadParameter(f"{endpoint!r} is no endpoint, such as {places}")
+    if text is not None and (fault := written.fault_of(text)):
+        raise typer.BadParameter(fault)
     return text
 
 
@@ -267,24 +260,24 @@ def say(text: str, console: Console = out, style: str = "") -> None:
 class Lines:
     """What goes on, for a file or a pipe: a line on standard error now and then, if it has changed."""
 
-    def __init__(self) -> None:
-        self._said, self._next_s = "", time.monotonic() + LINE_S
+    def __init__(self, each_s: float = LINE_S) -> None:
+        self._said, self._each_s, self._next_s = "", each_s, time.monotonic() + each_s
 
     def __call__(self, text: str) -> None:
         """Note how far it is."""
         if text != self._said and time.monotonic() >= self._next_s:
             err.print(text, soft_wrap=True)
-            self._said, self._next_s = text, time.monotonic() + LINE_S
+            self._said, self._next_s = text, time.monotonic() + self._each_s
 
 
 @contextmanager
-def progress(console: Console) -> Iterator[Callable[[str], None]]:
-    """Show what goes on: at one place of a terminal, elsewhere by lines."""
+def progress(console: Console, each_s: float = LINE_S) -> Iterator[Callable[[str], None]]:
+    """Show what goes on: at one place of a terminal, elsewhere by lines, one in so many seconds."""
     if console.is_terminal:
         with console.status("") as status:
             yield lambda text: status.update(printable_lines(text))
     else:
-        yield Lines()
+        yield Lines(each_s)
 
 
 def complain(text: str) -> None:

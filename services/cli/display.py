@@ -44,6 +44,8 @@ COLUMNS = (
 )
 
 
+NO_DIGEST = "none: not all of the run is there"
+SCORED = Column("scored", "{n}")  # dwells of them in which the target was there, and which came
 PICTURED = Column(
     "",
     "all together: GOSPA {gospa_km:.2f} km, completeness {completeness:.3f}, spuriousness {spuriousness:.3f},"
@@ -234,7 +236,9 @@ def run_tables(result: Result) -> list[Table]:
             ),
             {**in_metres(overall), "span": f"all {result.run['t']}"},
         ]
-        columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth
+        columns = list(COLUMNS if overall["p_d"] is not None else (COLUMNS[0], COLUMNS[-1]))  # without truth
+        if any(row["n"] < row["last_dwell"] - row["first_dwell"] + 1 for row in rows):
+            columns.insert(1, SCORED)
         tables.append(Table(title, columns, rows, bold=frozenset({len(rows) - 1})))
     return tables
 
@@ -282,7 +286,7 @@ def run_caption(result: Result) -> str:
         )
     if pacing_at(run["rate_hz"]).has_deadlines:
         lines.append(_real_time(result))
-    return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
+    return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest'] or NO_DIGEST}"])
 
 
 def next_steps(program: str, result: Result, store: str | None, endpoint: str | None, url: str | None = None) -> str:

@@ -1,7 +1,7 @@
 """The commands about one run: playing it, here or on services that are up, and cancelling it."""
 
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -36,7 +36,7 @@ from cogradar.services.cli.console import (
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyOption
 from cogradar.services.errors import BadInput
-from cogradar.services.runs.run import Result, as_played, ending, program, untold
+from cogradar.services.runs.run import Result, RunStopped, as_played, ending, program, untold
 from cogradar.services.runs.run import loaded as loadable
 from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
@@ -118,17 +118,29 @@ def run(
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)
             return
-        if connect:
-            result = _play_on(console, stop, start, connect)
-        elif in_process:
-            result = _play_in_process(console, stop, start, planners, store, front_end)
-        else:
-            from cogradar.services.runs.launcher import LocalProcesses
+        with _shown_if_stopped(show):
+            if connect:
+                result = _play_on(console, stop, start, connect)
+            elif in_process:
+                result = _play_in_process(console, stop, start, planners, store, front_end)
+            else:
+                from cogradar.services.runs.launcher import LocalProcesses
 
-            given = LocalProcesses(planners, store, front_end=front_end, http=HTTP if http is None else http)
-            result = _play_here(console, stop, start, given, chaos, show if keep else None)
+                given = LocalProcesses(planners, store, front_end=front_end, http=HTTP if http is None else http)
+                result = _play_here(console, stop, start, given, chaos, show if keep else None)
     if not keep:
         show(result)
+
+
+@contextmanager
+def _shown_if_stopped(show: Callable[[Result], None]) -> Iterator[None]:
+    """Show what a run has come to that somebody else ends before its time."""
+    try:
+        yield
+    except RunStopped as stopped:
+        if stopped.result is not None:
+            show(stopped.result)
+        raise
 
 
 def _loaded(scenario: str, settings: list[str], *, may_know: bool) -> Scenario:

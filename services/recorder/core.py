@@ -128,6 +128,7 @@ class RecorderCore:
         """Go on with a run from its last checkpoint; set it aside if it cannot be read, for the sake of the others."""
         try:
             self._runs[name] = self._resumed(name)
+            self._journal.hinder(name, "")  # what still cannot do its part says so again
         except (Unreadable, BadMessage) as error:
             self._set_aside(name, str(error))
         else:
@@ -329,6 +330,8 @@ class RecorderCore:
         going_on = {name for name, run in self._runs.items() if run.has_news and not run.pacing.has_deadlines}
         for name, run in list(self._runs.items()):
             run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
+            if run.forgive():
+                self._journal.hinder(name, run.hindrances)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()

@@ -40,6 +40,8 @@ OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
 MAX_REASON = 500  # characters of it, all together
+HINDERED_S = 10.0  # after it was said last it is over: the longest time between two checkpoints is 4 s
+_HINDERED_TICKS = round(HINDERED_S / TICK_S)
 
 
 @dataclass
@@ -73,6 +75,7 @@ class RecordedRun:
         self._plans: dict[int, Plan] = {}  # newest of each track that is there
         self.end: RunEnd | None = None
         self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why
+        self._hindered_at: dict[str, int] = {}  # tick at which each of them said so last
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
         self._longest = 0  # ... of a dwell
@@ -110,11 +113,18 @@ class RecordedRun:
 
     def hinder(self, process: str, reason: str) -> bool:
         """Note why a process cannot do its part; whether that is news."""
-        is_known = process in self._hindered or len(self._hindered) < MAX_HINDERED
-        is_news = is_known and self._hindered.get(process) != reason
-        if is_news:
-            self._hindered[process] = reason
+        if process not in self._hindered and len(self._hindered) >= MAX_HINDERED:
+            return False
+        is_news = self._hindered.get(process) != reason
+        self._hindered[process], self._hindered_at[process] = reason, self._ticks
         return is_news
+
+    def forgive(self) -> bool:
+        """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""
+        able = [process for process, at in self._hindered_at.items() if self._ticks - at > _HINDERED_TICKS]
+        for process in able:
+            del self._hindered[process], self._hindered_at[process]
+        return bool(able)
 
     @property
     def hindrances(self) -> str:

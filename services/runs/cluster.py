@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +15,8 @@ from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs.cancel import cancelled_unless_over
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
-from cogradar.services.runs.run import Ask, Progress, Result, program, progress, result
-from cogradar.services.topology import TOPOLOGY
+from cogradar.services.runs.run import Ask, Progress, Result, RunStopped, program, progress, result, so_far
+from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.queries import Alive, NoAnswer, ask
@@ -31,6 +32,7 @@ POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
 LONGEST_WAIT_S = 3.0  # the first answer is slow, while kernels are loaded
 STALL_S = 60.0  # without a new dwell: the loop hangs
+EMULATOR = f"the {Role.EMULATOR}"  # begins what metrics says of a run that waits for a scan
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 NAMED = 5  # planners, in the message of a run that stands still
 
@@ -67,7 +69,9 @@ def play(
         if launcher.url is not None:
             notify(f"watch it: {launcher.url}/?run={start.run}")
         with kept:
-            done = _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
+            done = _play(
+                launcher.endpoint, session, bus, start, launcher.check, report, notify, front_end=processes.front_end
+            )
         if keep is not None:
             keep(done, launcher.endpoint, launcher.url)
             with suppress(Interrupted):
@@ -154,12 +158,14 @@ def _play(
     check: Callable[[], None],
     report: Callable[[Progress], None],
     notify: Callable[[str], None],
+    front_end: str = Start.front_end,
 ) -> Result:
     notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     try:
-        return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start), notify)
+        asks, starts = partial(_query, session, check), partial(bus.publish, start)
+        return _watch(asks, start, began, check, report, starts, notify, front_end)
     except Stalled as error:
         names = bus.alive().names.get(Role.PLANNER, [])
         more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
@@ -210,13 +216,14 @@ def _watch(
     report: Callable[[Progress], None],
     resend_start: Callable[[], None],
     notify: Callable[[str], None],
+    front_end: str,
 ) -> Result:
-    latest, changed, told = None, began, ""
+    latest, changed, told = None, began, _Told(notify, front_end)
     while True:
         check()
         asked, now, done = time.monotonic(), None, None
         try:
-            now = progress(query, start)
+            now = _progress(query, start, began)
             done = result(query, start, began) if now is not None and now.complete else None
             if now is None:
                 resend_start()  # metrics does not know the run: it was not there, or the start was lost
@@ -224,10 +231,8 @@ def _watch(
             pass
         took = time.monotonic() - asked
         if now is not None:
+            now = told.of(now, time.monotonic() - changed)
             report(now)
-        if now is not None and now.hindered not in {"", told}:
-            told = now.hindered
-            notify(f"takes no part: {told}")
         if done is not None:
             return done
         if now is not None and (latest is None or now.k != latest.k or now.waiting_for == NO_ROOM):
@@ -239,3 +244,34 @@ def _watch(
         while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once
             check()
             time.sleep(min(POLL_S, left))
+
+
+def _progress(query: Ask, start: RunStart, began: float) -> Progress | None:
+    """Progress of a run. Raises RunStopped with what it came to, RunFailed."""
+    try:
+        return progress(query, start)
+    except RunStopped as stopped:
+        with suppress(NoAnswer):
+            stopped.result = so_far(query, start, began)
+        raise
+
+
+class _Told:
+    """What the user was told of a run that does not go on as it should."""
+
+    def __init__(self, notify: Callable[[str], None], front_end: str) -> None:
+        self._notify, self._front_end = notify, front_end
+        self._hindered = self._silent = ""
+
+    def of(self, now: Progress, quiet_s: float) -> Progress:
+        """Tell what is new after so long without a dwell; the progress, which names the receiver that is waited for."""
+        if now.hindered not in {"", self._hindered}:
+            self._hindered = now.hindered
+            self._notify(f"takes no part: {now.hindered}")
+        if self._front_end == Start.front_end or not now.waiting_for.startswith(EMULATOR):
+            return now
+        now = replace(now, waiting_for=f"{self._front_end}, for {now.waiting_for}")
+        if quiet_s > QUIET_S and self._silent != now.waiting_for:
+            self._silent = now.waiting_for
+            self._notify(f"waiting for {now.waiting_for}")
+        return now

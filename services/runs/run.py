@@ -39,9 +39,17 @@ class Progress:
     fault: str = ""  # why nothing was measured in the newest dwell
 
 
+class RunStopped(RunFailed):
+    """A run that was ended before its time; with what it came to until then, if anything was scored."""
+
+    def __init__(self, reason: str, result: "Result | None" = None) -> None:
+        super().__init__(reason)
+        self.result = result
+
+
 @dataclass(frozen=True)
 class Result:
-    """A finished run: its row of `runs`, its targets overall and, if it is longer than one, per window of dwells."""
+    """A run that is over: its row of `runs`, its targets overall, and per window of dwells if it is longer than one."""
 
     run: dict[str, Any]
     targets: Rows
@@ -141,12 +149,14 @@ def untold(scenario: Scenario) -> Scenario:
 
 
 def progress(ask: Ask, start: RunStart) -> Progress | None:
-    """Progress of a run, None before metrics knows it. Raises RunFailed if the run ended badly."""
+    """Progress of a run, None before metrics knows it. Raises RunFailed if the run ended badly, RunStopped if early."""
     rows = ask("runs", {"run": start.run})
     if not rows:
         return None
-    if rows[0]["status"] in {"stopped", "failed", "quarantined"}:
-        raise RunFailed(f"stopped {rows[0]['reason']}" if rows[0]["status"] == "stopped" else rows[0]["reason"])
+    if rows[0]["status"] == "stopped":
+        raise RunStopped(f"stopped {rows[0]['reason']}")
+    if rows[0]["status"] in {"failed", "quarantined"}:
+        raise RunFailed(rows[0]["reason"])
     row = rows[0]
     return Progress(
         row["t"],
@@ -168,14 +178,23 @@ def window(dwells: int) -> int:
 
 def result(ask: Ask, start: RunStart, began: float) -> Result | None:
     """Result of a run once it is complete, else None; `began` is a reading of time.monotonic()."""
+    return _result(ask, start, began, "complete")
+
+
+def so_far(ask: Ask, start: RunStart, began: float) -> Result | None:
+    """Result of a run that was stopped, up to its last dwell; None if it has none."""
+    found = _result(ask, start, began, "stopped")
+    return found if found is not None and found.run["t"] else None
+
+
+def _result(ask: Ask, start: RunStart, began: float, status: str) -> Result | None:
     rows = ask("runs", {"run": start.run})
-    if not rows or rows[0]["status"] != "complete":
+    if not rows or rows[0]["status"] != status:
         return None
-    width = window(start.dwells)
-    firsts = range(1, start.dwells + 1, width) if width < start.dwells < NO_END else ()
+    width, last = window(start.dwells), start.dwells if rows[0]["status"] == "complete" else rows[0]["t"]
+    firsts = range(1, last + 1, width) if width < start.dwells < NO_END else ()
     windows = [
-        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + width - 1, start.dwells)}"})
-        for first in firsts
+        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + width - 1, last)}"}) for first in firsts
     ]
     picture = next(iter(ask("picture", {"run": start.run})), {})
     return Result(rows[0], ask("summary", {"run": start.run}), windows, picture, time.monotonic() - began)

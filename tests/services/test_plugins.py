@@ -22,15 +22,17 @@ from cogradar.services.metrics.store import in_memory
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import HINDERED_S
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import strategy_of
-from cogradar.shared.protocol.events import Membership
+from cogradar.shared.protocol.events import Membership, Tick
 from cogradar.shared.protocol.messages import Plan, RunStart
 from cogradar.shared.protocol.recovery import NoPlans, NoWaveforms
 from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.plugins import resolver, sources
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.runner import TICK_S
 from tests.services.campaigns.test_dask_pool import Cluster
 from tests.services.loop import checkpoint, play, scans
 
@@ -248,6 +250,17 @@ def test_the_journal_says_what_a_run_is_hindered_by(folder: Path) -> None:
     core.handle(hindered.model_copy(update={"process": "a"}))
     (row,) = journal.read("SELECT status, reason FROM run")
     assert (row["status"], row["reason"]) == ("running", "a: rule.py: not here; b: rule.py: not here")
+    ticks = round(HINDERED_S / TICK_S) + 1
+    for i in range(ticks):  # one says so again, the other can do its part by now
+        core.handle(Tick(i * TICK_S))
+        core.handle(hindered)
+    assert journal.read("SELECT reason FROM run") == [{"reason": "b: rule.py: not here"}]
+    journal.commit()
+    again = RecorderCore(journal, resume=True)
+    assert journal.read("SELECT reason FROM run") == [{"reason": ""}]
+    again.handle(hindered)
+    assert journal.read("SELECT reason FROM run") == [{"reason": "b: rule.py: not here"}]
+    core = again
     (ended,) = core.handle(NoWaveforms(run="r", process="x", reason="strategy.py: raised", ends=True))[:1]
     assert ended.model_dump()["ended"]
     (row,) = journal.read("SELECT status, reason FROM run")

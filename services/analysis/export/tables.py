@@ -14,6 +14,7 @@ from cogradar.services.analysis.arrays.dwell_range import ALL, Dwells, check, is
 from cogradar.services.analysis.arrays.records import Records
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.arrays.tracks import Tracks
+from cogradar.services.analysis.export.meanings import meaning_of
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.place import Place
 from cogradar.shared.scenario.scenario import SiteSection
@@ -47,10 +48,9 @@ def unit_of(column: str) -> str | None:
 
 
 def attributes_of(column: str) -> dict[str, str]:
-    """What a reader of a column is told: its unit, or of what it is."""
-    if column == "covariance":
-        return {"long_name": "covariance of [x_hat, vx_hat, y_hat, vy_hat], in km and km/s"}
-    return {"units": unit} if (unit := unit_of(column)) else {}
+    """What a reader of a column is told: what it means, and its unit if it has one."""
+    told = {"long_name": meaning_of(column), "units": unit_of(column)}
+    return {name: text for name, text in told.items() if text is not None}
 
 
 class _Rows:

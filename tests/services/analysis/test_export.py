@@ -23,7 +23,7 @@ from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.export import formats
 from cogradar.services.analysis.export.formats import FORMATS, TEXTS, Format
 from cogradar.services.analysis.export.table_writers import write_netcdf
-from cogradar.services.analysis.export.tables import OF_ALL, OF_RUN, TABLES, Table, attributes_of, scores
+from cogradar.services.analysis.export.tables import FURTHER, OF_ALL, OF_RUN, TABLES, Table, attributes_of, scores
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.emulator.front_end import ScanData, Transmission
@@ -372,8 +372,15 @@ def test_units_are_as_xarray_and_udunits_have_them(tmp_path: Path) -> None:
     with xr.open_dataset(tmp_path / "table.nc") as loaded:
         assert loaded["utc_s"].to_numpy()[1] == np.datetime64("2001-09-09T01:46:40")
         assert loaded["acceleration_g"].attrs["units"] == "standard_free_fall"
-        assert loaded["nu"].attrs == {}
-    assert attributes_of("vx_hat") == {"units": "km/s"}
+        assert loaded["nu"].attrs == {"long_name": "direction, 0.5 sin(angle)"}
+    assert attributes_of("vx_hat") == {"long_name": "velocity along boresight, of the estimate", "units": "km/s"}
+
+
+def test_each_column_says_what_it_means(file: str) -> None:
+    found = result_of(file)
+    columns = {column for table in TABLES.values() for column in table(found)} - set(OF_RUN)
+    columns |= {*FURTHER, "existence", "modes", "utc_s", "latitude_hat_deg", "alpha_hat_imag"}
+    assert {column for column in columns if "long_name" not in attributes_of(column)} == set()
 
 
 if shutil.which("octave-cli"):

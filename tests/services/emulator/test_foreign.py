@@ -410,6 +410,7 @@ def _unread(opened: line.Line, asked: Transmit) -> Iterator[Reply[Received]]:
         ("zenoh:a/b", "zenoh:a/b: must be zenoh:NAME"),
         ("zenoh:**", "zenoh:**: must be zenoh:NAME"),
         ("zenoh:roof", "zenoh:roof: no front end can know the router of this run: say where it listens, as in"),
+        ("zenoh:roof@nonsense", "zenoh:roof@nonsense: 'nonsense' is no endpoint, such as tcp/127.0.0.1:7447"),
     ],
 )
 def test_a_name_that_cannot_be_is_refused(name: str, said: str) -> None:
