@@ -31,6 +31,7 @@ from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.trajectories.rows import Rows
 from cogradar.shared.wire.codec import renamed
 
 POLL_S = 0.2  # how soon a stop is noticed
@@ -198,7 +199,10 @@ def missing_runs(starts: list[RunStart], store: Store) -> list[tuple[int, RunSta
     rows = store.read("SELECT document, strategy, seed FROM run")
     there = {(row["document"], row["strategy"], row["seed"]) for row in rows}
     # The document as a journal has it.
-    asked = [(json.dumps(start.scenario, sort_keys=True), start.strategy, start.seed) for start in starts]
+    asked = [
+        (json.dumps(start.scenario, sort_keys=True, default=Rows.tolist), start.strategy, start.seed)
+        for start in starts
+    ]
     return [(place, start) for place, start in enumerate(starts, 1) if asked[place - 1] not in there]
 
 

@@ -15,6 +15,7 @@ from cogradar.services.recorder.file.database import Database
 from cogradar.services.recorder.file.schema import Recording
 from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
+from cogradar.shared.scenario.trajectories.rows import Rows
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
@@ -50,7 +51,7 @@ class Journal(Database):
         world, n_track = start.scenario["world"], start.scenario["radar"]["tracks"]
         n_track = None if n_track == "unknown" else n_track
         n_target = (n_track or 0) if world is None else len(world["targets"])
-        document, strategy = json.dumps(start.scenario, sort_keys=True), start.strategy.value
+        document, strategy = json.dumps(start.scenario, sort_keys=True, default=Rows.tolist), start.strategy.value
         self.write(
             "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, n_track,"
             " has_truth, began_s) VALUES (?,?,?,?,?,?,?,?,?,?,strftime('%s'))",

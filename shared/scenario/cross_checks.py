@@ -43,9 +43,10 @@ def measured_at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[fl
     """The same where the array measures them, with their heights: `array.in_plane`."""
     found = at_start(targets)
     for m, state in found.items():
-        height, rows = targets[m].get("height_km", 0.0), np.array(targets[m].get("trajectory") or [[]]).T
-        if len(rows) > 3:
-            height = np.interp(0.0, rows[0], rows[3])
+        height, rows = targets[m].get("height_km", 0.0), targets[m].get("trajectory")
+        columns = np.array([[]] if rows is None else rows).T
+        if len(columns) > 3:
+            height = np.interp(0.0, columns[0], columns[3])
         found[m] = in_plane(state, height).tolist() if state else state
     return found
 

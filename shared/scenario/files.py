@@ -14,9 +14,7 @@ from cogradar.shared.scenario.document import (
     Document,
     ScenarioError,
     built_in,
-    element_errors,
     read,
-    trajectory,
 )
 from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable, unknown_keys
 from cogradar.shared.scenario.limits import MAX_ROWS
@@ -27,6 +25,7 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import ASSUMED, Scenario
 from cogradar.shared.scenario.section import Section
 from cogradar.shared.scenario.tables import FIDELITY
+from cogradar.shared.scenario.trajectories.csv_files import element_errors, trajectory
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.signal.recording import RecordingError, sha256
 

@@ -14,6 +14,7 @@ NO_END = 2**31 - 1
 UNLIMITED = "unlimited"  # ... as people read and write it
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
+MAX_TURNS = 3000  # of all targets of a world: each takes some microseconds to check
 MAX_POSITION_KM = 10_000.0  # per axis, of a target
 MAX_HEIGHT_KM = 100.0  # of a target
 MAX_TIME_S = 1e6  # of a trajectory

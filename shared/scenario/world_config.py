@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import FailFast, Field, field_validator, model_validator
 
-from cogradar.shared.scenario.document import check_rows
-from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
+from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MAX_TURNS
 from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, SIGNAL
 from cogradar.shared.scenario.plugins.names import Chosen
 from cogradar.shared.scenario.section import Section, named_in
 from cogradar.shared.scenario.tables import FROM_FILE
+from cogradar.shared.scenario.trajectories.rows import Rows
 from cogradar.shared.signal.array import in_plane
 from cogradar.shared.signal.recording import AXES, Layout, Recording, read, sha256
 
@@ -246,10 +246,8 @@ class TargetSection(Section):
         list[float] | None, Field(min_length=4, max_length=4, description="[x, vx, y, vy] when it begins to fly")
     ] = None
     trajectory: Annotated[
-        list[Annotated[list[float], Field(min_length=3, max_length=4), FailFast()]] | None,
-        FailFast(),  # of many rows the first that is wrong says enough
+        Rows | None,
         Field(
-            min_length=MIN_ROWS,
             description="instead of `state`: its rows [t_s, x_km, y_km], or all of them with z_km, ascending, or the"
             " name of a CSV file, relative to this one, with the header `t_s,x_km,y_km` or `t_s,x_km,y_km,z_km`. It is"
             " there from its first to its last row; a smooth curve through all rows says where",
@@ -299,14 +297,14 @@ class TargetSection(Section):
         """State [x, vx, y, vy] with which it begins; of a trajectory that between the first two rows."""
         if self.trajectory is None:
             return self.state or []
-        (t, x, y), (t_next, x_next, y_next) = (row[:3] for row in self.trajectory[:2])
+        (t, x, y), (t_next, x_next, y_next) = (self.trajectory[i][:3] for i in range(2))
         return [x, (x_next - x) / (t_next - t), y, (y_next - y) / (t_next - t)]
 
     @property
     def begin_height_km(self) -> float:
         """Height at which it begins."""
-        rows = self.trajectory or [[]]
-        return rows[0][3] if len(rows[0]) > 3 else self.height_km
+        has_heights = self.trajectory is not None and len(self.trajectory[0]) > 3
+        return self.trajectory[0][3] if self.trajectory is not None and has_heights else self.height_km
 
     @field_validator("state")
     @classmethod
@@ -322,12 +320,6 @@ class TargetSection(Section):
         if max(abs(state[1]), abs(state[3])) > MAX_SPEED_KM_S:
             raise ValueError(f"vx and vy must be within +-{MAX_SPEED_KM_S:g} km/s")
         return state
-
-    @field_validator("trajectory")
-    @classmethod
-    def _flown_forwards(cls, rows: list[list[float]] | None) -> list[list[float]] | None:
-        check_rows(rows or [], [f"row {i}" for i in range(1, len(rows or []) + 1)])
-        return rows
 
     @field_validator("turns")
     @classmethod
@@ -375,9 +367,9 @@ class WorldConfig(Section):
     motion: WorldMotionSection
     echo: WorldEchoSection
     array: WorldArraySection | None = None
-    jammers: Annotated[list[JammerSection], Field(max_length=100)] = Field(default_factory=list)
+    jammers: Annotated[list[JammerSection], FailFast(), Field(max_length=100)] = Field(default_factory=list)
     clutter: ClutterSection | None = None
-    targets: Annotated[list[TargetSection], Field(min_length=1, max_length=1000)]
+    targets: Annotated[list[TargetSection], FailFast(), Field(min_length=1, max_length=1000)]
     repeat_s: Annotated[
         float | None,
         Field(
@@ -394,6 +386,8 @@ class WorldConfig(Section):
         rows = sum(len(target.trajectory or ()) for target in targets)
         if rows > MAX_ROWS:
             raise ValueError(f"their trajectories have {rows} rows together, must have at most {MAX_ROWS}")
+        if (turns := sum(len(target.turns) for target in targets)) > MAX_TURNS:
+            raise ValueError(f"they have {turns} turns together, must have at most {MAX_TURNS}")
         return targets
 
     @model_validator(mode="after")

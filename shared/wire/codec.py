@@ -17,16 +17,17 @@ from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.protocol.topics import BY_NAME, name_of
 from cogradar.shared.scenario.faults import printable
-from cogradar.shared.scenario.limits import MAX_ROWS
+from cogradar.shared.scenario.limits import MAX_TURNS
+from cogradar.shared.scenario.trajectories.rows import Rows
 
 MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
 MAX_LOT = 64  # messages that travel together
 # Of one message, beyond any that there is: what is more is refused before it is unpacked and checked, piece by piece.
 MAX_KEYS = 128  # of a map
-MAX_ARRAYS = 1000
-MAX_MAPS = 20_000  # a turn of a target is one
-MAX_LISTS = MAX_ROWS + 20_000  # a row of a trajectory is one
-MAX_ITEMS = 5 * MAX_ROWS + 100_000  # in all lists
+MAX_ARRAYS = 2000  # a trajectory of a target is one
+MAX_MAPS = MAX_TURNS + 2000  # a target is one
+MAX_LISTS = 10_000  # a state of a target is one
+MAX_ITEMS = 50_000  # in all lists
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
 _ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; those of a message are a map's
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
@@ -164,7 +165,7 @@ def _unpacked(payload: bytes, *, keeps_packed: bool = False) -> Any:
         ext_hook=budget.packed if keeps_packed else budget.array,
         list_hook=budget.list,
         object_hook=budget.map,
-        max_array_len=MAX_ROWS,
+        max_array_len=MAX_ITEMS,
         max_map_len=MAX_KEYS,
     )
 
@@ -204,6 +205,8 @@ def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
     """What stands for an array, or for a part of a message."""
     if isinstance(value, Compared):
         return dict(value)
+    if isinstance(value, Rows):
+        value = value.array
     if not isinstance(value, np.ndarray) or value.dtype not in NAMES:
         raise TypeError(f"{type(value).__name__} cannot be sent")
     head = struct.pack(f"<2sB{value.ndim}I", NAMES[value.dtype], value.ndim, *value.shape)

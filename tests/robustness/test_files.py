@@ -22,9 +22,10 @@ from cogradar.services.simulation.skies import start_of
 from cogradar.services.skies.place import Place
 from cogradar.services.skies.recorded import recorded
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.scenario.document import SCENARIO_DIR, trajectory
+from cogradar.shared.scenario.document import SCENARIO_DIR
 from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.limits import MAX_ROWS
+from cogradar.shared.scenario.trajectories.csv_files import trajectory
 from tests.services.cli.here import here
 
 PHASES = [Phase.explicit, Phase.reuse, Phase.generate]  # to shrink a store would take minutes

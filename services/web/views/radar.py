@@ -104,7 +104,7 @@ def _of_run(known: Facts) -> dict[str, Any]:
     ranges = [
         np.hypot(x, y)
         for target in (known.world.targets if known.world is not None else ())
-        for x, y in (np.array(target.trajectory)[:, 1:3] if target.trajectory else [target.begin[::2]])
+        for x, y in (np.array(target.trajectory)[:, 1:3] if target.trajectory is not None else [target.begin[::2]])
         if x >= 0.0
     ]
     return {

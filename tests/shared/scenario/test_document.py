@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from cogradar.shared.scenario.document import MAX_CHAIN, read, trajectory
+from cogradar.shared.scenario.document import MAX_CHAIN, read
 from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.trajectories.csv_files import trajectory
 
 
 def refusal(name: str, *settings: str) -> tuple[str, ...]:
@@ -284,7 +285,7 @@ def test_what_is_wrong_with_heights_of_a_trajectory(rows: str, expected: str, tm
         trajectory(file, 100)
     assert str(raised.value) == f"{file}: {expected}"
     file.write_text("t_s,x_km,y_km,z_km\n0,10,10,1\n1,10,10,2\n")
-    assert trajectory(file, 100) == [[0.0, 10.0, 10.0, 1.0], [1.0, 10.0, 10.0, 2.0]]
+    assert trajectory(file, 100).tolist() == [[0.0, 10.0, 10.0, 1.0], [1.0, 10.0, 10.0, 2.0]]
 
 
 def test_rows_of_a_trajectory_have_heights_all_or_none_and_no_other_height(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Recorded trajectories of targets: their rows, and the CSV files that they come from."""
