@@ -165,7 +165,7 @@ def accuracies(
     into: IntoOption = None,
 ) -> None:
     """Ask for the accuracy of tracks: in how many dwells they have it, and what it costs the others."""
-    from cogradar.services.analysis.tables import markdown, write_into
+    from cogradar.services.analysis.pages import write_into
     from studies import accuracies as study
 
     with command() as stop:
@@ -174,7 +174,7 @@ def accuracies(
         with _measuring(stop, as_json=False) as tell:
             found = study.tables(study.measure(range(1, seeds + 1), dwells, tell, stop))
         if into:
-            write_into(Path(into), {ACCURACIES: [markdown(found[0])]})
+            write_into(Path(into), {ACCURACIES: [found[0]]})
     print_tables(out, found)
 
 
@@ -218,7 +218,7 @@ def decisions(
     into: IntoOption = None,
 ) -> None:
     """Judge decisions one by one: are they provably the best, and what does each policy lose?"""
-    from cogradar.services.analysis.tables import markdown, write_into
+    from cogradar.services.analysis.pages import write_into
     from studies import decisions as study
 
     with command() as stop:
@@ -227,7 +227,7 @@ def decisions(
         with _measuring(stop, as_json=False) as tell:
             table = study.play(scenario, over or study.OVER, runs, tell, stop)
         if into:
-            write_into(Path(into), {DECISIONS: [markdown(table)]})
+            write_into(Path(into), {DECISIONS: [table]})
     print_tables(out, [table])
 
 
@@ -256,7 +256,7 @@ def trackers(
     into: IntoOption = None,
 ) -> None:
     """Compare this radar's tracker with an IMM-EKF and a UKF of Stone Soup on the same detections."""
-    from cogradar.services.analysis.tables import markdown, write_into
+    from cogradar.services.analysis.pages import write_into
     from studies.trackers import table as study
 
     with command() as stop:
@@ -265,7 +265,7 @@ def trackers(
         with _measuring(stop, as_json=False) as tell:
             found = study.table(study.play(skies, seeds, dwells, store, tell, stop))
         if into:
-            write_into(Path(into), {TRACKERS: [markdown(found)]})
+            write_into(Path(into), {TRACKERS: [found]})
     print_tables(out, [found])
 
 
@@ -277,7 +277,7 @@ def agents(
     into: IntoOption = None,
 ) -> None:
     """Train an agent in an environment, and compare it with others and with the radar's own rules."""
-    from cogradar.services.analysis.tables import markdown, write_into
+    from cogradar.services.analysis.pages import write_into
     from studies import agents as study
 
     with command() as stop:
@@ -286,7 +286,7 @@ def agents(
         with _measuring(stop, as_json=False) as tell:
             found = study.table(scenario, seeds, dwells, tell, stop)
         if into:
-            write_into(Path(into), {AGENTS: [markdown(found)]})
+            write_into(Path(into), {AGENTS: [found]})
     print_tables(out, [found])
 
 

@@ -5,7 +5,8 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
-from cogradar.services.analysis.tables import Table, markdown, write_into
+from cogradar.services.analysis.pages import write_into
+from cogradar.services.analysis.tables import Table
 from cogradar.services.campaigns.pool import n_core
 
 
@@ -16,4 +17,4 @@ def caption() -> str:
 
 def write(page: Path, name: str, tables: Sequence[Table], remark: str = "") -> None:
     """Replace what is between a Markdown page's markers of this name. Raises BadInput."""
-    write_into(page, {name: [f"Measured on {caption()}{remark}.", *map(markdown, tables)]})
+    write_into(page, {name: [f"Measured on {caption()}{remark}.", *tables]})

@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cogradar.services.analysis.tables import write_into
+from cogradar.services.analysis.pages import write_into
 
 SCHEDULES = 2000
 REMEMBERED = 30_000  # results

@@ -37,8 +37,8 @@ def results() -> str:
             if (row := found.get((scenario, strategy))) is None:
                 continue
             (runs,) = re.findall(rf"(\d+) {strategy}", report.partition("runs of")[0])
-            (tracks,) = re.findall(rf"^\| {strategy} \|.*\| (\d+ of \d+) \|", lost, re.MULTILINE)
-            shown.append((algorithm, beams, runs, _with(row[4], row[5]), _with(row[6], row[7]), tracks))
+            tracks = _lost(lost, strategy)
+            shown.append((algorithm, beams, runs, row[3], row[4], tracks))
     return table(HEAD, [*PAPER, *shown])
 
 
@@ -47,9 +47,11 @@ def with_results(readme: str) -> str:
     return _MARKED.sub(lambda marks: f"{marks[1]}{results()}\n{marks[2]}", readme)
 
 
-def _with(value: str, interval: str) -> str:
-    low, high = interval.split()
-    return f"{value} [{low}, {high}]"
+def _lost(table: str, strategy: str) -> str:
+    """Tracks lost by a strategy: in its row, or said of all rows."""
+    row = "\n".join(line for line in table.splitlines() if line.startswith(f"| {strategy} |"))
+    found: list[str] = re.findall(r"\d+ of \d+", row) or re.findall(r"\d+ of \d+", table)
+    return found[0]
 
 
 if __name__ == "__main__":

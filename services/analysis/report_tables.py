@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.analysis.tables import Column, Row, Table, check_page, in_metres, markdown, write_into
+from cogradar.services.analysis.pages import write_into
+from cogradar.services.analysis.tables import Column, Row, Table, check_page, in_metres
 from cogradar.services.errors import BadInput
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import marked
@@ -56,7 +57,7 @@ DIFFERENCES = (
 )
 LOST = (
     Column("lost", "{lost} of {tracks}"),
-    Column("share", "{share:.3f}"),
+    Column("lost, fraction", "{share:.3f}"),
     _interval("share", ".3f", "95 %, Wilson"),
     Column("dwells out, mean", "{outage:.1f}"),
     Column("longest", "{outage_longest}"),
@@ -65,7 +66,7 @@ OVERALL = (
     IN_BIN,
     _interval("in_bin", ".3f", "95 %, runs"),
     Column("tracks lost", "{lost} of {tracks}"),
-    Column("share", "{share:.3f}"),
+    Column("lost, fraction", "{share:.3f}"),
     _interval("share", ".3f", "95 %, runs"),
 )
 ALL_TARGETS = (
@@ -105,7 +106,7 @@ CONFIRMATION = (
     Column("confirmed s, median", "{confirmation_median_s:.1f}"),
     Column("confirmed s, 95 %", "{confirmation_95_s:.1f}"),
     Column("never found", "{never_found} of {long_visible}"),
-    Column("share", "{share:.3f}"),
+    Column("never found, fraction", "{share:.3f}"),
     _interval("share", ".3f", "95 %, Wilson"),
 )
 FLIGHT_TABLE = (
@@ -226,12 +227,11 @@ def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
     names = [report["scenario"] for report in reports]
     if len(set(names)) < len(names):
         raise BadInput(f"several experiments of one scenario ({', '.join(names)}): choose one with --seed or --run")
-    blocks = {
-        f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *map(markdown, tables(report))]
-        for report in reports
+    blocks: dict[str, Sequence[str | Table]] = {
+        f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *tables(report)] for report in reports
     }
     if len(reports) > 1 and f"<!-- {BESIDE} -->" in check_page(page, list(blocks)):
-        blocks |= {BESIDE: [*map(markdown, side_by_side(reports))]}
+        blocks |= {BESIDE: side_by_side(reports)}
     write_into(page, blocks)
 
 

@@ -70,18 +70,3 @@ def check_page(path: Path, names: Sequence[str]) -> str:
         if end not in text.partition(begin)[2]:
             raise BadInput(f"{path}: has no lines {begin} and {end}")
     return text
-
-
-def write_into(path: Path, blocks: Mapping[str, Sequence[str]]) -> None:
-    """Replace what is between the markers of each name by its blocks, all of them or none. Raises BadInput."""
-    text = check_page(path, list(blocks))
-    for name, block in blocks.items():
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        before, _, rest = text.partition(begin)
-        text = "\n\n".join([before + begin, *block, end + rest.partition(end)[2]])
-    new = path.with_suffix(path.suffix + ".new")
-    try:
-        new.write_text(text, encoding="utf-8")
-        new.replace(path)
-    except OSError as error:
-        raise BadInput(f"{path}: {error.strerror}") from None

@@ -1,8 +1,8 @@
 """Results of a sweep: one row per variant and strategy; of one or two axes also a figure.
 
 Each row has the lowest P_D of a target and the largest position RMSE of a target, which may be another one, over the
-last dwells of the runs; intervals are those of the report, over runs. `lost` counts the runs that lost the former.
-What is said of whole runs is in rows of their own, and in the columns about all targets together.
+last dwells of the runs, with the report's intervals over runs. `lost` counts the lost tracks of all targets. Whole runs
+have rows of their own.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from cogradar.services.analysis.drawing.figures import save
 from cogradar.services.analysis.drawing.looks import STYLE, Look, looks
+from cogradar.services.analysis.pages import write_into
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.report_tables import (
     ALL_TARGETS,
@@ -28,7 +29,7 @@ from cogradar.services.analysis.report_tables import (
     OVERALL,
     STRATEGY,
 )
-from cogradar.services.analysis.tables import Column, Table, markdown, write_into
+from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.selection import Selection
@@ -88,12 +89,13 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
     """The lowest P_D and the largest error among the targets of a strategy's runs."""
     names = [*KEPT, *(name + end for name in WITH_INTERVAL for end in ("", "_low", "_high"))]
     if variant is None or strategy not in variant["runs"]:
-        return dict.fromkeys([*names, "lost"]) | {"runs": 0}
+        return dict.fromkeys([*names, "largest", "lost"]) | {"runs": 0}
     of_targets = [row for row in variant["last"] if row["strategy"] == strategy]
     worst, largest = _extremes(of_targets)
-    lost = {(row["strategy"], row["target"]): row["lost"] for row in variant["lost"]}
+    (overall,) = [row for row in variant["overall"] if row["strategy"] == strategy]
     errors = {name: largest[name] for name in names if name.startswith("position_rmse_km")}
-    return {name: worst[name] for name in names} | errors | {"lost": lost[strategy, worst["target"]]}
+    errors |= {"largest": largest["target"]}
+    return {name: worst[name] for name in names} | errors | {"lost": overall["lost"]}
 
 
 def _pictured(variant: dict[str, Any] | None, strategy: str, names: Sequence[str]) -> dict[str, Any]:
@@ -160,7 +162,7 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("beyond 99 %", "{beyond_99:.4f}"),
         *(CONFIRMATION[:3] if any(row["targets"] is not None for row in found) else []),
     ]
-    return Table("All dwells: lowest P_D and largest RMSE of a target", columns, with_labels(found, axes), "axis_0")
+    return Table("All dwells", columns, with_labels(found, axes), "axis_0")
 
 
 def axis_columns(axes: Sequence[Axis]) -> list[Column]:
@@ -186,11 +188,11 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("worst", "{target}"),
         *DETECTION[:2],
         IN_BIN,
+        Column("largest", "{largest}"),
         *ERRORS[:2],
-        Column("lost", "{lost} of {runs}"),
     ]
-    span = f", dwells {spans[0][0]}-{spans[0][1]}" if len(spans) == 1 else ""
-    return Table(f"Lowest P_D and largest RMSE of a target{span}", columns, shown, "axis_0")
+    span = f", {spans[0][0]}-{spans[0][1]}" if len(spans) == 1 else ""
+    return Table(f"Last dwells{span}", columns, shown, "axis_0")
 
 
 def remarks(store: Store, found: Rows) -> list[str]:
@@ -202,7 +204,7 @@ def remarks(store: Store, found: Rows) -> list[str]:
 
 def write(page: Path, name: str, tables: Sequence[Table], remarks: Sequence[str]) -> None:
     """Replace what is between the markers `<!-- sweep NAME -->` and `<!-- /sweep NAME -->`. Raises BadInput."""
-    write_into(page, {f"sweep {name}": [*map(markdown, tables), *remarks]})
+    write_into(page, {f"sweep {name}": [*tables, *remarks]})
 
 
 def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from cogradar.services.analysis.tables import Table, check_page, markdown, write_into
+from cogradar.services.analysis.pages import write_into
+from cogradar.services.analysis.tables import Table, check_page
 from cogradar.services.cli.console import call, command, out, progress
 from cogradar.services.cli.terminal import print_tables
 
@@ -22,7 +23,7 @@ StoreArgument = Annotated[str, typer.Argument(help="Store of a sweep.")]
 
 def _show(found: Table, name: str, into: Path | None) -> None:
     if into:
-        write_into(into, {name: [markdown(found)]})
+        write_into(into, {name: [found]})
     print_tables(out, [found])
 
 
