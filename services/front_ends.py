@@ -11,13 +11,13 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
+from cogradar.services.certs.endpoints import fault_of
 from cogradar.services.emulator.aside import Check, OpensAside
 from cogradar.services.emulator.foreign import OpensForeign
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from cogradar.services.emulator.own_thread import OpensInOwnThread
 from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
-from cogradar.services.endpoints import fault_of
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.protocol.messages import EmulatorCheckpoint

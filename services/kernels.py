@@ -22,7 +22,7 @@ from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
 EACH_S = 15.0  # how far it is, is said
-FUNCTIONS = 420  # that there are to compile, some: an earlier start may have made a part of them
+FUNCTIONS = 420  # some, to compile
 MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends

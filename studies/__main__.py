@@ -31,7 +31,7 @@ from cogradar.services.runs.run import untold
 from cogradar.shared.scenario.files import load
 
 SCALING, CROWD, DECISIONS, TRACKERS, AGENTS = "scale", "crowd", "judged", "trackers", "agents"  # markers in pages
-ACCURACIES = "accuracies"
+ACCURACIES, AGES = "accuracies", "ages"
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -206,6 +206,30 @@ def endless(
         _show([found.table()], found.as_json(), as_json=as_json)
         if found.faults:
             raise RunFailed("\n".join(found.faults))
+
+
+@app.command()
+def ages(
+    aircraft: Annotated[int, typer.Option(min=1, max=600, help="That come within three minutes.")] = 128,
+    rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Dwells a second.")] = 1.0,
+    dwells: Annotated[int, typer.Option(min=10, max=100_000, help="That count.")] = 300,
+    into: IntoOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how old a track is where a feed sends it; exit code 1 if more than 1 % are 200 ms old."""
+    from studies import ages as study
+    from studies import page
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [AGES])
+        with _measuring(stop, as_json=as_json) as tell:
+            found = study.measure(aircraft, rate, dwells, tell, stop)
+        if into:
+            page.write(Path(into), AGES, [study.table(found)])
+        _show([study.table(found)], study.as_json(found), as_json=as_json)
+        if not found.is_met:
+            raise RunFailed(f"99 % of the tracks are younger than {found.p99_ms:.0f} ms; asked: {study.GOAL_MS:.0f} ms")
 
 
 @app.command()

@@ -247,9 +247,9 @@ def chaos(
     """
     from cogradar.services import kernels
     from cogradar.services.cli.display import RunDisplay
-    from cogradar.services.runs.chaos import trial, trial_in_real_time
+    from cogradar.services.runs.chaos import all_together, trial, trial_in_real_time
 
-    killed = failed = 0
+    killed, failed, seen = 0, 0, []
     with command() as stop:
         loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
         rate_hz = rate_of(loaded, pace, rate)
@@ -258,15 +258,15 @@ def chaos(
             for seed in range(1, runs + 1):
                 start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells, rate_hz)
                 if rate_hz > 0.0:
-                    seen = trial_in_real_time(start, planners, kills, report=display.report, stop=stop)
-                    killed, failed = killed + len(seen.victims), failed + (not seen.holds)
-                    display.notify(f"seed {seed}: {seen}")
+                    seen.append(trial_in_real_time(start, planners, kills, report=display.report, stop=stop))
+                    failed += not seen[-1].holds
+                    display.notify(f"seed {seed}: {seen[-1]}")
                     continue
                 tried = trial(start, planners, kills, report=display.report, stop=stop)
                 killed, failed = killed + tried.killed, failed + (not tried.same)
                 verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
                 display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")
-        what = "in which a process ended a track" if rate_hz > 0.0 else "differ from those left in peace"
-        out.print(f"{runs} runs, {killed} processes killed, {failed} runs {what}")
+        in_peace = f"{runs} runs, {killed} processes killed, {failed} runs differ from those left in peace"
+        out.print(all_together(seen) if seen else in_peace, soft_wrap=True)
     if failed:
         raise typer.Exit(RunFailed.exit_code)

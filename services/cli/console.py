@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
-from cogradar.services import endpoints as written
+from cogradar.services.certs import endpoints as written
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
 from cogradar.shared.protocol.fields import MAX_RATE_HZ

@@ -75,7 +75,7 @@ class RecordedRun:
         self._plans: dict[int, Plan] = {}  # newest of each track that is there
         self.end: RunEnd | None = None
         self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why
-        self._hindered_at: dict[str, int] = {}  # tick at which each of them said so last
+        self._hindered_at: dict[str, int] = {}  # when they said so last
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
         self._longest = 0  # ... of a dwell

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -87,15 +87,29 @@ class RealTimeTrial:
         return self.continuity.ended == 0
 
     def __str__(self) -> str:
-        by_role = Counter(name.rpartition("-")[0] for name in self.victims)
-        killed = ", ".join(f"{n} {role}" for role, n in sorted(by_role.items())) or "nothing"
         found = self.continuity
         complete = "" if found.completeness is None else f", complete {found.completeness:.3f}"
         alone = "" if self.undisturbed is None else f" ({self.undisturbed:.3f} left in peace)"
         return (
-            f"killed {killed}; {found.ended} of {found.tracks} tracks ended by a process, longest time without a plan"
-            f" {found.longest_coast_s:.1f} s, {found.lost_dwells} dwells did not happen{complete}{alone}"
+            f"killed {_by_role(self.victims)}; {found.ended} of {found.tracks} tracks ended by a process, longest time"
+            f" without a plan {found.longest_coast_s:.1f} s, {found.lost_dwells} dwells did not happen{complete}{alone}"
         )
+
+
+def _by_role(victims: Iterable[str]) -> str:
+    by_role = Counter(name.rpartition("-")[0] for name in victims)
+    return ", ".join(f"{n} {role}" for role, n in sorted(by_role.items())) or "nothing"
+
+
+def all_together(seen: Sequence[RealTimeTrial]) -> str:
+    """What came of runs in real time, in a line."""
+    victims = [name for one in seen for name in one.victims]
+    ended, tracks = (sum(getattr(one.continuity, name) for one in seen) for name in ("ended", "tracks"))
+    longest_s = max(one.continuity.longest_coast_s for one in seen)
+    return (
+        f"{len(seen)} runs, {len(victims)} processes killed ({_by_role(victims)}); {ended} of {tracks} confirmed tracks"
+        f" ended by a process, longest time without a plan {longest_s:.1f} s"
+    )
 
 
 def trial_in_real_time(

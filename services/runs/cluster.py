@@ -32,7 +32,7 @@ POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
 LONGEST_WAIT_S = 3.0  # the first answer is slow, while kernels are loaded
 STALL_S = 60.0  # without a new dwell: the loop hangs
-EMULATOR = f"the {Role.EMULATOR}"  # begins what metrics says of a run that waits for a scan
+EMULATOR = f"the {Role.EMULATOR}"
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 NAMED = 5  # planners, in the message of a run that stands still
 

@@ -152,6 +152,27 @@ def test_a_run_on_shared_services_ends_with_its_command(
 
 
 @pytest.mark.zenoh
+def test_a_command_whose_run_somebody_else_cancels_shows_what_it_came_to(endpoint: str) -> None:
+    before = set(_runs(endpoint))
+    command = [*COGRADAR, "run", "smoke", "--dwells", "100000", "--connect", endpoint]
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        _until(lambda: any(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before))
+        (name,) = set(_runs(endpoint)) - before
+        subprocess.run([*COGRADAR, "cancel", name, "--connect", endpoint], check=True, capture_output=True)
+        table, errors = run.communicate(timeout=30)
+    finally:
+        run.kill()
+        run.communicate()
+    assert run.returncode == 1
+    assert errors.splitlines()[-1] == "stopped by user"
+    dwells = _runs(endpoint)[name]["t"]
+    assert f"all {dwells}" in table
+    assert "target 2, acquired in" in table
+    assert "digest none: not all of the run is there" in table
+
+
+@pytest.mark.zenoh
 def test_a_run_that_was_left_alone_is_cancelled_by_name(endpoint: str) -> None:
     done = _cogradar("run", "smoke", "--dwells", "100000", "--connect", endpoint, "--detach")
     assert done.returncode == 0, done.stderr

@@ -7,6 +7,7 @@ import pytest
 
 from cogradar.services.recorder.file.schema import MEMORY
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs.chaos import RealTimeTrial, all_together
 from cogradar.services.runs.continuity import Continuity, continuity
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
 from cogradar.shared.protocol.topics import BY_MESSAGE
@@ -67,3 +68,12 @@ def test_the_longest_time_without_a_plan(journal: Journal) -> None:
 def test_dwells_that_never_happened_are_time_too(journal: Journal) -> None:
     away = _of(journal, lambda message: getattr(message, "k", 0) in {5, 6})
     assert (away.ended, away.lost_dwells, away.longest_coast_s) == (0, 2, 2 / RATE_HZ)
+
+
+def test_all_runs_together_are_told_in_a_line_by_role() -> None:
+    first = RealTimeTrial(1, ["planner-0", "planner-1", "router-0"], Continuity(7, 0, 1.5, 0, None), None)
+    second = RealTimeTrial(2, ["recorder-0"], Continuity(5, 1, 11.25, 3, 0.9), None)
+    assert all_together([first, second]) == (
+        "2 runs, 4 processes killed (2 planner, 1 recorder, 1 router); 1 of 12 confirmed tracks ended by a process,"
+        " longest time without a plan 11.2 s"
+    )
