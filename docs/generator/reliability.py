@@ -93,6 +93,12 @@ PROOFS = (
         f"{PYTEST}tests/services/test_deposed.py",
     ),
     Proof(
+        "alone",
+        "Of several recorders that start at once, one lives.",
+        "50 starts of three real processes, up to 0.2 s apart",
+        f"{PYTEST}tests/services/test_alone.py",
+    ),
+    Proof(
         "kills-of-a-writer",
         "A recorder and an export that are killed at any moment go on right.",
         "200 kills of each",
