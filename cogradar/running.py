@@ -21,14 +21,14 @@ from cogradar.shared.protocol.messages import Refused, RunStart
 from cogradar.shared.scenario.faults import explain
 from cogradar.shared.scenario.files import ScenarioError, parse
 from cogradar.shared.scenario.files import load as load_file
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, OBJECTIVE, RULE, Kind
+from cogradar.shared.scenario.plugins.kinds import IN_SCENARIO, Kind
 from cogradar.shared.scenario.plugins.names import PluginError
 from cogradar.shared.scenario.plugins.resolver import held, hold, named
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from cogradar.plugins import BinRule, Disturbance, PowerRule
+    from cogradar.plugins import BeliefFilter, BinRule, Disturbance, PowerRule
     from cogradar.services.runs.dwell import DwellMessages
     from cogradar.shared.protocol.messages import Waveform
 
@@ -154,11 +154,11 @@ class Playing(TypedDict, total=False):
 
     set         : settings as `--set` takes them, ["radar.array.n_tx=32"], or {"radar.array.n_tx": 32}
     strategy    : how the power is spread: "orthogonal", "uniform" or "power-aware", which is the default; or your own,
-                  "PATH.py:NAME" or an object (`cogradar.plugins`), as of the next three
+                  "PATH.py:NAME" or an object (`cogradar.plugins`), as of the next four
     rule        : rule of looking, in place of `radar.planner.rule`
     objective   : in place of `radar.allocation.objective`
     disturbance : in place of `world.disturbance.model`
-    belief      : kind of belief, `radar.belief.filter`
+    belief      : in place of `radar.belief.filter`
     seed        : of all that is random, 0 .. 2^63 - 1; 1 if left out
     dwells      : tracking dwells, the scenario's number if left out
     planners    : how many share the tracks; they take turns, and the result is the same for any number
@@ -171,7 +171,7 @@ class Playing(TypedDict, total=False):
     rule: "str | BinRule | None"
     objective: "str | PowerRule | None"
     disturbance: "str | Disturbance | None"
-    belief: str | None
+    belief: "str | BeliefFilter | None"
     seed: int
     dwells: int | None
     planners: int
@@ -234,15 +234,13 @@ def run(
 def _loaded(scenario: Scenario | str | Path, how: Playing) -> Scenario:
     """The scenario with the settings of a run. Raises BadInput."""
     settings = _texts(how.get("set", ()))
-    if (belief := how.get("belief")) is not None:
-        settings.append(f"radar.belief.filter={_toml(belief)}")
     if not isinstance(scenario, Scenario):
         loaded = load(scenario, settings)
     elif settings:
         raise BadInput(f"{settings[0]}: a Scenario has all its values: give load() the settings, or run() the name")
     else:
         loaded = scenario
-    own = {RULE: how.get("rule"), OBJECTIVE: how.get("objective"), DISTURBANCE: how.get("disturbance")}
+    own = {kind: how.get(kind.name) for kind in IN_SCENARIO}
     return as_played(_with_own(loaded, own), how.get("front_end", Start.front_end))
 
 

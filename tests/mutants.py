@@ -142,8 +142,8 @@ MUTANTS = (
     Mutant(
         "a track that is restored lacks a dwell",
         PLANNED,
-        "state_of(snapshot), self._newest",
-        "state_of(snapshot)._replace(k=snapshot.k + 2), self._newest",
+        "state_of(self._model, snapshot), self._newest",
+        "state_of(self._model, snapshot)._replace(k=snapshot.k + 2), self._newest",
     ),
     Mutant("plans are not kept to be sent again", PLANNED, "self.resend.add(plan.k, (plan,))", "pass"),
     Mutant("a planner keeps tracks that another one has taken", PLANNED, "self._held.leave(said)", "pass"),

@@ -242,7 +242,12 @@ def replay(
 
 
 def feed(
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="aircraft-json, asterix, cot, geojson or sapient.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to", metavar="FORMAT", help="aircraft-json, asterix, cot, geojson, sapient, or your own: PATH.py:NAME."
+        ),
+    ],
     where: Annotated[
         str,
         typer.Option(

@@ -40,7 +40,7 @@ class Cost(NamedTuple):
 def measure(n_track: int, pictures: int, tell: Callable[[str], None]) -> list[Cost]:
     """Cost of pictures of so many tracks, which move and are all reported each time."""
     tell(PICTURES)
-    made, spent = _pictures(n_track, pictures)
+    made, spent = pictures_of(n_track, pictures)
     costs = [Cost(PICTURES, n_track, spent)]
     for name, kind in FORMATS.items():
         tell(name)
@@ -56,7 +56,7 @@ def measure(n_track: int, pictures: int, tell: Callable[[str], None]) -> list[Co
     return costs
 
 
-def _pictures(n_track: int, n: int) -> tuple[list[Picture], float]:
+def pictures_of(n_track: int, n: int) -> tuple[list[Picture], float]:
     """Pictures as they come of messages, the first one more than `n`, and how long one takes in ms."""
     scenario = load("traffic")
     taking, made = Pictures(_RUN, scenario, _SITE), list[Picture]()

@@ -1,18 +1,23 @@
 """The feed: pictures from a source, through a format, to a transport, until its run or its user ends it."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.aircraft_json import AircraftJson
 from cogradar.services.feed.asterix import DEFAULT, Asterix, Source, categories_of
 from cogradar.services.feed.cot import CursorOnTarget
 from cogradar.services.feed.geojson import GeoJson
-from cogradar.services.feed.output import Format
+from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture
 from cogradar.services.feed.sapient import Sapient
 from cogradar.services.feed.transport import Transport, transport
+from cogradar.shared.scenario.plugins.kinds import FEED
+from cogradar.shared.scenario.plugins.names import PluginError, PluginFailed, PluginRefused, names_of
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
+from cogradar.shared.scenario.plugins.sources import settled
 
 
 class Options(NamedTuple):
@@ -49,10 +54,60 @@ FORMATS: Mapping[str, Kind] = {
 
 
 def kind_of(name: str) -> Kind:
-    """A format by its name. Raises BadInput."""
-    if name not in FORMATS:
-        raise BadInput(f"--to {name}: must be one of {', '.join(FORMATS)}")
-    return FORMATS[name]
+    """A format by its name, built in or a user's own. Raises BadInput."""
+    if name in FORMATS:
+        return FORMATS[name]
+    try:
+        found: Kind = resolve(FEED, settled(FEED, name, Path()))
+    except PluginError as error:
+        is_none = not all(name.rpartition(":"))  # no source, or no name in it
+        raise BadInput(f"--to {name}: {f'must be one of {names_of(FORMATS)}' if is_none else error}") from None
+    return found
+
+
+class _Guarded(Format):
+    """A user's own format, whose outputs are bytes. Whatever else it answers ends the feed."""
+
+    def __init__(self, made: Any, call: Caller) -> None:
+        self._made, self._call = made, call
+        self.wants_plots = bool(getattr(made, "wants_plots", False))
+
+    def encode(self, picture: Picture) -> Sequence[Output]:
+        outputs = self._asked("encode", picture)
+        if not (isinstance(outputs, list | tuple) and all(map(_is_output, outputs))):
+            raise RunFailed(f"{self._call.short} returned {str(outputs)[:80]}: encode must return Outputs of bytes")
+        return outputs
+
+    def greeting(self) -> bytes:
+        return self._bytes("greeting") if hasattr(self._made, "greeting") else b""
+
+    def answer(self, data: bytes) -> bytes:
+        return self._bytes("answer", data) if hasattr(self._made, "answer") else b""
+
+    def _bytes(self, method: str, *arguments: Any) -> bytes:
+        said = self._asked(method, *arguments)
+        if not isinstance(said, bytes):
+            raise RunFailed(f"{self._call.short} returned {str(said)[:80]}: {method} must return bytes")
+        return said
+
+    def _asked(self, method: str, *arguments: Any) -> Any:
+        try:
+            return self._call(getattr(self._made, method), *arguments)
+        except PluginFailed as error:
+            raise RunFailed(str(error)) from error
+
+
+def _is_output(output: Any) -> bool:
+    return isinstance(output, Output) and isinstance(output.data, bytes) and isinstance(output.file, str)
+
+
+def guarded(made: Any, call: Caller) -> Kind:
+    """A user's own format, or a class that makes one for each feed. Raises PluginRefused if it cannot encode."""
+    if not callable(getattr(made, "encode", None)):
+        raise PluginRefused(f"{call.short}: a feed needs the method encode, which it has not")
+    flags = {"has_files": False, "is_stream": True, "is_dialogue": False}
+    given = {name: bool(getattr(made, name, default)) for name, default in flags.items()}
+    return Kind(lambda _: _Guarded(call(made) if isinstance(made, type) else made, call), **given)
 
 
 def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_hz: float) -> int:

@@ -11,7 +11,7 @@ from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.birth import born
-from cogradar.shared.tracking.filters import belief_of
+from cogradar.shared.tracking.filters import filter_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import Prediction, coast, observe, prepare
 
@@ -53,10 +53,10 @@ def snapshot_of(run: str, state: TrackState) -> Snapshot:
     return Snapshot(run=run, **carried | {"belief": state.belief.rows})
 
 
-def state_of(snapshot: Snapshot) -> TrackState:
+def state_of(model: TrackerModel, snapshot: Snapshot) -> TrackState:
     """The state that a snapshot carries, bit for bit."""
     carried = {name: getattr(snapshot, name) for name in TrackState._fields}
-    return TrackState(**carried | {"belief": belief_of(snapshot.belief)})
+    return TrackState(**carried | {"belief": filter_of(model).restored(model, snapshot.belief)})
 
 
 class OwnedTrack:

@@ -27,7 +27,7 @@ KEPT_SCANS = 512  # newest ones of each run, from which a track that changes han
 
 
 class Unplanned(Exception):
-    """A rule of somebody's own failed in this run."""
+    """A rule or a belief of somebody's own failed in this run."""
 
     def __init__(self, run: str, reason: str) -> None:
         super().__init__(reason)
@@ -149,7 +149,10 @@ class PlannedRun:
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
-        return not self.is_behind and any(track.prepare() for track in self._tracks.values())
+        try:
+            return not self.is_behind and any(track.prepare() for track in self._tracks.values())
+        except PluginFailed:  # its next scan will end the run
+            return False
 
     def _advance_or_defer(self) -> Iterable[Message | Flush]:
         """Advance at once; in real time when no newer message waits, which a tick tells."""
@@ -164,10 +167,13 @@ class PlannedRun:
         Plans go out in batches: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
-        for plan in itertools.chain(self._search(), self._advance_tracks()):
-            if isinstance(plan, Plan):
-                self.resend.add(plan.k, (plan,))
-            yield plan
+        try:
+            for plan in itertools.chain(self._search(), self._advance_tracks()):
+                if isinstance(plan, Plan):
+                    self.resend.add(plan.k, (plan,))
+                yield plan
+        except PluginFailed as error:
+            raise Unplanned(self._run, str(error)) from error
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
         yield from self._snapshots()
@@ -185,7 +191,9 @@ class PlannedRun:
     def _restore(self, snapshot: Snapshot) -> None:
         """Let an owned track that is behind its snapshot continue from there."""
         if snapshot.target in self._held.all and self._next_k(snapshot.target) <= snapshot.k:
-            self._tracks[snapshot.target] = OwnedTrack(self._model, state_of(snapshot), self._newest, self._pacing)
+            self._tracks[snapshot.target] = OwnedTrack(
+                self._model, state_of(self._model, snapshot), self._newest, self._pacing
+            )
             self._restored.add(snapshot.target)
 
     def _snapshots(self) -> Sequence[Snapshot]:
@@ -292,10 +300,7 @@ class PlannedRun:
         track.planned = state.k
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
-        try:
-            decision = decide(*self._settings(state.k), state, has_time)
-        except PluginFailed as error:
-            raise Unplanned(self._run, str(error)) from error
+        decision = decide(*self._settings(state.k), state, has_time)
         if self._model.existence.is_over(state, max(decision.chances.tolist(), default=0.0)):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(

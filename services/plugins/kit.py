@@ -13,13 +13,19 @@ import numpy as np
 
 from cogradar.services.errors import BadInput
 from cogradar.services.plugins.trials import Trial, trial_of
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.kinds import BELIEF, DISTURBANCE, FEED, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
 from cogradar.shared.scenario.plugins.names import Name, PluginError, PluginFailed
 from cogradar.shared.scenario.plugins.resolver import module_of, resolve
 from cogradar.shared.scenario.plugins.sources import settled
 
 CALLS = 20  # of which the middle one's cost is shown
-KINDS = {kind.name: kind for kind in (RULE, STRATEGY, OBJECTIVE, DISTURBANCE, FRONT_END)}
+KINDS = {kind.name: kind for kind in (RULE, BELIEF, STRATEGY, OBJECTIVE, DISTURBANCE, FRONT_END, FEED)}
+METHODS = {  # by which a thing is known
+    BELIEF: ("begin", "predict", "update", "states"),
+    DISTURBANCE: ("draw", "power_spectrum"),
+    FRONT_END: ("transmit", "close"),
+    FEED: ("encode",),
+}
 
 
 class Finding(NamedTuple):
@@ -59,16 +65,15 @@ def _is_own(name: str, thing: Any, module: ModuleType) -> bool:
     """Whether a file's thing was made there; a class only if nothing there is one of it."""
     made = thing if hasattr(thing, "__qualname__") else type(thing)
     others = [one for other, one in vars(module).items() if other != name]
-    is_used = isinstance(thing, type) and any(isinstance(one, thing) for one in others)
+    is_used = isinstance(thing, type) and any(thing in type(one).__mro__ for one in others)
     return not name.startswith("_") and getattr(made, "__module__", "") == module.__name__ and not is_used
 
 
 def _kind(thing: Any) -> Kind | None:
     """What a thing seems to be, by what it has or by its arguments; None: nothing that is known."""
-    if all(hasattr(thing, method) for method in ("draw", "power_spectrum")):
-        return DISTURBANCE
-    if all(hasattr(thing, method) for method in ("transmit", "close")):
-        return FRONT_END
+    for kind, methods in METHODS.items():
+        if all(hasattr(thing, method) for method in methods):
+            return kind
     try:
         n = len(inspect.signature(thing).parameters) if callable(thing) else 0
     except (TypeError, ValueError):
@@ -79,7 +84,7 @@ def _kind(thing: Any) -> Kind | None:
 def _kind_of(text: str) -> Kind:
     """What a thing of this name seems to be. Raises PluginError or BadInput."""
     refused: PluginError | None = None
-    for kind in (DISTURBANCE, FRONT_END, RULE, STRATEGY):
+    for kind in (*METHODS, RULE, STRATEGY):
         try:
             resolve(kind, settled(kind, text, Path()))
         except PluginError as error:
@@ -104,7 +109,7 @@ def _checked(text: str, kind: Kind) -> Iterator[Finding]:
         yield from _behaviour(short, thing, trial)
         if trial.more is not None:
             found, ok = trial.more(thing)
-            yield Finding(short, "level", found, ok)
+            yield Finding(short, trial.called, found, ok)
     except PluginFailed as error:
         yield Finding(short, "answers", str(error), ok=False)
         return
@@ -130,6 +135,8 @@ def _behaviour(short: str, thing: Any, trial: Trial) -> Iterator[Finding]:
     uses = _plain(before) != _plain(after)
     said = "draws from Python's or NumPy's global generator" if uses else "no global random state is used"
     yield Finding(short, "random numbers", said, not uses)
+    if trial.copies:
+        return
     changed = [words for words, case in trial.cases if _changes(thing, trial, case())]
     said = f"changes its arguments: {', '.join(changed)}" if changed else "are left as they are"
     yield Finding(short, "arguments", said, not changed)

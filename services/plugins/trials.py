@@ -3,7 +3,7 @@
 Each call gets arguments of its own, made anew, so that what it does to them is seen.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,19 +13,33 @@ from numpy.typing import NDArray
 
 from cogradar.services.emulator.cycle import compared, scan_message, transmission
 from cogradar.services.emulator.front_end import FrontEnd, Settings, Transmission
+from cogradar.services.errors import RunFailed
+from cogradar.services.feed import feed
+from cogradar.services.feed.cost import pictures_of
+from cogradar.services.feed.picture import Picture
+from cogradar.services.planner.owned_track import snapshot_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.planning.radar_pomdp import problem_of
 from cogradar.shared.power.rules import Requests
+from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
+from cogradar.shared.scenario.plugins.kinds import BELIEF, DISTURBANCE, FEED, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
 from cogradar.shared.scenario.plugins.names import PluginFailed
 from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.signal.array import bin_centres
-from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
+from cogradar.shared.signal.response import FAR_KM
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.belief.likelihood import found_look, missed_looks
+from cogradar.shared.tracking.filters import Dwell, Filter
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import start
+from cogradar.shared.wire.codec import decode, encode
 
 N_DRAW = 4000  # cells of which the mean power of a disturbance is estimated
 POWER_WITHIN = 0.1  # of 1; heavy tails make the mean uncertain
 _SIGMA_HAT = 0.02
+_LOOKED = "++-+++..+-+---+++"  # a track's dwells: detected, missed, not looked for
 Case = Callable[[], tuple[Any, ...]]  # arguments of a call, made anew
 
 
@@ -37,6 +51,8 @@ class Trial:
     beside: str  # the built-in one whose cost is shown; "": there is none to be called so
     call: Callable[..., Any] = lambda thing, *arguments: thing(*arguments)
     more: Callable[[Any], tuple[str, bool]] | None = None  # what else is found, and whether it is as it should be
+    called: str = "level"  # Its row.
+    copies: bool = False  # It gets copies in a run, too, and may change its arguments.
     repeats: bool = True  # the same answer to the same arguments; no measurement does
 
 
@@ -44,10 +60,12 @@ def trial_of(kind: Kind) -> Trial:
     """How a kind is tried."""
     tried: dict[Kind, Callable[[], Trial]] = {
         RULE: _rule,
+        BELIEF: _belief,
         STRATEGY: partial(_power, "power-aware"),
         OBJECTIVE: partial(_power, "max-min"),
         DISTURBANCE: _disturbance,
         FRONT_END: _front_end,
+        FEED: _feed,
     }
     return tried[kind]()
 
@@ -79,6 +97,78 @@ def _rule() -> Trial:
         ),
         "pomcp",
     )
+
+
+def _belief() -> Trial:
+    models = [
+        TrackerModel.of(load("smoke", [f"radar.fidelity={fidelity}"]).radar, Strategy.POWER_AWARE, seed=1)
+        for fidelity in ("robust", "best-range")
+    ]
+
+    def case(looked: str, i: int) -> Case:
+        return lambda: (looked, generator(1, Purpose.BELIEF, i, 0))
+
+    def call(filter_: Filter, looked: str, rng: np.random.Generator) -> Any:
+        return [
+            (state.belief.rows, state.belief.sample(), state.log_evidence)
+            for model in models
+            for state in _followed(filter_, model, looked, rng)
+        ]
+
+    def restored(filter_: Filter) -> tuple[str, bool]:
+        """Whether a track goes on from a snapshot's numbers, whatever other tracks the filter has seen meanwhile."""
+        for model in models:
+            tracks = [_followed(filter_, model, _LOOKED, generator(1, Purpose.BELIEF, i, 1)) for i in (0, 0, 1)]
+            for one, (other, _) in zip(tracks[0], zip(*tracks[1:], strict=True), strict=True):
+                sent = decode(encode(snapshot_of("check", one)))
+                back = filter_.restored(model, sent.belief) if isinstance(sent, Snapshot) else one.belief
+                beliefs = one.belief, other.belief, back
+                if len({(belief.rows.tobytes(), belief.sample().tobytes()) for belief in beliefs}) > 1:
+                    return f"goes on otherwise from a snapshot, or beside another track, after dwell {one.k}", False
+        return "goes on from a snapshot, and beside another track, bit for bit", True
+
+    cases = (("a miss", "-"), ("a detection", "+"), (f"{len(_LOOKED)} dwells", _LOOKED))
+    tried = [(words, case(looked, i)) for i, (words, looked) in enumerate(cases)]
+    return Trial(tried, "likelihood", call, restored, "snapshot", copies=True)
+
+
+def _followed(filter_: Filter, model: TrackerModel, looked: str, rng: np.random.Generator) -> Iterator[TrackState]:
+    """A track after each dwell: detected (+), missed (-), not looked for (.); the target flies along the array."""
+    place, dt = np.array([40.0, 0.0, 5.0, 0.2]), model.motion.dt
+    scan = Detections.of(
+        {
+            "k": 0,
+            "bins": np.arange(model.sensor.n_bin, dtype=np.int32),
+            "statistic": np.full(model.sensor.n_bin, 2.0 * model.sensor.threshold),
+            "alpha_hat": np.full(model.sensor.n_bin, 0.1, dtype=np.complex64),
+            "sigma_hat": np.full(model.sensor.n_bin, _SIGMA_HAT),
+            "signature_power": np.ones(model.sensor.n_bin),
+            "beams": np.full((model.n_track, 1), -1, dtype=np.int32),
+        },
+        model.sensor.n_bin,
+        model.sensor.threshold,
+    )
+    bin_ = int(angle_bin(spatial_frequency(place[np.newaxis])[0], model.sensor.n_bin))
+    begun = place + np.array([1.0, 0.05, 1.0, 0.05]) * rng.standard_normal((model.belief.n_particle, 4))
+    state = start(model, 0, bin_, [scan])._replace(belief=filter_.begun(model, begun, rng))
+    for k, kind in enumerate(looked, 1):
+        place = place + dt * np.array([place[1], 0.0, place[3], 0.0])
+        nu, range_km = float(spatial_frequency(place[np.newaxis])[0]), float(np.hypot(place[0], place[2]))
+        if model.response.is_box:
+            nu = float(bin_centres(model.sensor.n_bin)[angle_bin(nu, model.sensor.n_bin)])
+        if kind == ".":
+            state = filter_.coasted(model, state, lambda: rng)
+        else:
+            looks = missed_looks(model.response, np.array([nu]), np.array([0.1]), model.sensor.threshold, (0.0, FAR_KM))
+            if kind == "+":
+                cell_km = model.response.range_cell_km
+                is_measured = model.response.measures_range
+                measured = (nu, 1e-3, (range_km // cell_km + 0.5) * cell_km) if is_measured else (0.0, 0.0, 0.0)
+                r = float(amplitude(amplitude_at_1_km(model.sensor.amplitude_db), range_km**2)) / _SIGMA_HAT
+                looks = found_look(model.response, nu, _SIGMA_HAT, model.sensor.threshold, max(r, 4.0), measured)
+            state = filter_.observed(model, state, Dwell(looks, lambda: rng, None)).state
+        state = state._replace(k=k)
+        yield state
 
 
 def _power(beside: str) -> Trial:
@@ -118,6 +208,21 @@ def _disturbance() -> Trial:
         lambda model, n, rng: model.draw(n, rng),
         power,
     )
+
+
+def _feed() -> Trial:
+    pictures, _ = pictures_of(20, 3)
+
+    def call(kind: feed.Kind, shown: Sequence[Picture]) -> Any:
+        form = kind.make(feed.Options())
+        try:
+            return [form.greeting(), *(form.encode(picture) for picture in shown)]
+        except RunFailed as error:
+            raise PluginFailed(str(error)) from error
+
+    ended = [*pictures, pictures[-1].without_tracks()]
+    cases = (("a picture", lambda: (pictures[:1],)), ("four pictures", lambda: (ended,)))
+    return Trial(cases, "", call)
 
 
 def _front_end() -> Trial:

@@ -9,6 +9,7 @@ from cogradar.shared.protocol.fields import MIXTURE
 from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.plugins.names import is_own
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import LOOKS_ROW, angle_bin
 
@@ -161,14 +162,26 @@ def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
     """Refuse a snapshot of a track that the radar cannot have."""
     n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
     is_steered = IS_NEEDED["directions"](radar)
-    is_gaussian = radar.belief.filter == "gaussian"
-    expected = MIXTURE if is_gaussian else (n_particle, 4)
-    widths = {LOOKS_ROW, 0} if is_gaussian else {LOOKS_ROW if is_steered else n_bin}
+    filter_, looked = radar.belief.filter, LOOKS_ROW if is_steered else n_bin
+    expected = {"gaussian": MIXTURE}.get(filter_, snapshot.belief.shape if is_own(filter_) else (n_particle, 4))
+    widths = {looked, 0} if filter_ == "gaussian" or is_own(filter_) else {looked}
     check_track(snapshot.target, snapshot.k, radar)
     if snapshot.belief.shape != expected:
         raise Refused(f"snapshot of a belief of {snapshot.belief.shape} numbers, expected {expected}")
+    if filter_ == "gaussian" and not _is_mixture(snapshot.belief):
+        raise Refused("weights of a belief must be 0 or more and sum to 1, its covariances be symmetric")
     if snapshot.looked.shape[1] not in widths or snapshot.hit_bin >= n_bin:
         shape = f"{snapshot.looked.shape[1]} numbers and bin {snapshot.hit_bin}"
         raise Refused(f"snapshot of looks of {shape}, expected {max(widths)} and one of {n_bin} bins")
     if not is_steered and (snapshot.looked < 0.0).any():
         raise Refused("snapshot of looks with a negative standard deviation")
+
+
+def _is_mixture(rows: NDArray[np.float64]) -> bool:
+    """Whether rows are weights, means and covariances of Gaussians."""
+    weights, covariances = rows[:, 0], rows[:, 6:].reshape(3, 5, 5)
+    is_symmetric = (covariances == covariances.transpose(0, 2, 1)).all()
+    variances = np.einsum("jaa->ja", covariances)
+    return bool(
+        is_symmetric and (variances >= 0.0).all() and (weights >= 0.0).all() and abs(weights.sum() - 1.0) < 1e-6
+    )

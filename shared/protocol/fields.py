@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
+from cogradar.shared.scenario import limits
+from cogradar.shared.scenario.plugins.names import MAX_NAME, PATTERN
+
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
-MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
+# In a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message.
+MAX_PARTICLES = limits.MOST_STATES
 MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
-MAX_HISTORY = 256  # messages in one History
-MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
-MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
+MAX_HISTORY = 256  # Messages of a History.
+MAX_CELLS = 3  # Cells that a track asks for: a target near a border is in one of two, or its belief is spread.
+MAX_BEAMS = 1024  # Beams of a track in a dwell: a look may be widened over the whole grid
 MIXTURE = (3, 31)  # numbers of a belief of Gaussians: weight, mean and covariance of each mode of motion
-FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
+FAR = limits.FAR
 LARGEST = 1e60  # of any number in an array, so that products of several are finite; 1 / LARGEST: of a divisor the least
 
 
@@ -216,6 +220,9 @@ RunId = Annotated[
         pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$",
         description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit",
     ),
+]
+OwnName = Annotated[
+    str, Field(pattern=PATTERN, max_length=MAX_NAME, description="a user's own thing: SOURCE:NAME#HASH")
 ]
 PROCESS_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(@[0-9]{1,2}-[0-9]{1,2})?"
 ProcessName = Annotated[

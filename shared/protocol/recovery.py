@@ -3,14 +3,12 @@
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from cogradar.shared.protocol.fields import (
     LARGEST,
     MAX_HISTORY,
     MAX_SIDE,
-    MIXTURE,
     Epoch,
     Floats,
     Index,
@@ -59,7 +57,7 @@ class Snapshot(Message):
 
     target: Index
     k: Index
-    belief: Particles  # (n, 4) particles, or (3, 31) components of a mixture
+    belief: Particles  # (n, 4) particles, (3, 31) components of a mixture, or numbers of a filter of a user's own
     detected: bool
     depleted: bool
     sigma_hat: Size
@@ -81,11 +79,8 @@ class Snapshot(Message):
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        n, width = self.belief.shape
-        if (width != 4 and self.belief.shape != MIXTURE) or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
-            raise ValueError("belief must be (n, 4) or (3, 31), remembered (n, 4) or (0, 4)")
-        if self.belief.shape == MIXTURE and not _is_mixture(self.belief):
-            raise ValueError("weights of a belief must be 0 or more and sum to 1, its covariances be symmetric")
+        if self.belief.size == 0 or self.remembered.shape not in {(self.belief.shape[0], 4), (0, 4)}:
+            raise ValueError("belief must have numbers, remembered be (n, 4) or (0, 4)")
         if self.modes.shape != (3,):
             raise ValueError("modes must be (3,)")
         if self.measured.shape != (4,):
@@ -95,16 +90,6 @@ class Snapshot(Message):
         if not are_divisors(np.array([self.sigma_hat, self.power])):
             raise ValueError(f"sigma_hat and power must be 0 or at least {1 / LARGEST:g}")
         return self
-
-
-def _is_mixture(rows: NDArray[np.float64]) -> bool:
-    """Whether rows are weights, means and covariances of Gaussians."""
-    weights, covariances = rows[:, 0], rows[:, 6:].reshape(3, 5, 5)
-    is_symmetric = (covariances == covariances.transpose(0, 2, 1)).all()
-    variances = np.einsum("jaa->ja", covariances)
-    return bool(
-        is_symmetric and (variances >= 0.0).all() and (weights >= 0.0).all() and abs(weights.sum() - 1.0) < 1e-6
-    )
 
 
 class ScanRecall(Message):

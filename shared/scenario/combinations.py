@@ -14,6 +14,7 @@ Allowed = Mapping[str, Collection[Any]]  # key of `[radar]` -> its values
 UNKNOWN = "unknown"  # number of tracks
 A_NUMBER, A_WIDTH, YOUR_OWN = "the number of targets", "a width above 0", "your own"  # any such value of a key
 _ANY_RULE, _RULE, _OF_CELLS = (*RULES, YOUR_OWN), (*BIN_RULES, YOUR_OWN), (*OF_CELLS, YOUR_OWN)
+_PARTICLES = ("likelihood", YOUR_OWN)
 _BINS: Allowed = {
     "receiver.cells": ("bins",),
     "receiver.monopulse": (False,),
@@ -22,7 +23,7 @@ _BINS: Allowed = {
     "tracks": (A_NUMBER,),
 }
 _STEERED: Allowed = {
-    "belief.filter": ("likelihood",),
+    "belief.filter": _PARTICLES,
     "receiver.cells": ("steered",),
     "receiver.monopulse": (True, False),
     "planner.rule": _RULE,
@@ -33,7 +34,7 @@ _MEASURED: Allowed = {
     "receiver.range_cell_km": (A_WIDTH,),
 }
 RADARS: dict[str, Allowed] = {
-    "robust filter": {"belief.filter": ("likelihood",), **_BINS},
+    "robust filter": {"belief.filter": _PARTICLES, **_BINS},
     "published filter": {"belief.filter": ("published",), **_BINS},
     "steered cells": {**_STEERED, "receiver.range_cell_km": (0.0,), "tracks": (A_NUMBER,)},
     "range cells": {**_STEERED, "receiver.range_cell_km": (A_WIDTH,), "tracks": (A_NUMBER,)},

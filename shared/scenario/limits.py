@@ -23,6 +23,8 @@ ALERTS = 0.25  # detections of noise in the search, per dwell: more false tracks
 SECONDS_PER_HOUR = 3600.0
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
 MIXTURE_STATES = 512  # that stand for a belief of Gaussians where states are asked for
+MOST_STATES, MOST_NUMBERS = 50_000, 200_000  # of a belief of a user's own: states that stand for it; its numbers
+FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate; and of a number of such a belief
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 
 

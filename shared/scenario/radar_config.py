@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cogradar.shared.scenario.plugins.kinds import OBJECTIVE, RULE
+from cogradar.shared.scenario.plugins.kinds import BELIEF, OBJECTIVE, RULE
 from cogradar.shared.scenario.plugins.names import OWN, PATTERN, Chosen, is_own
 from cogradar.shared.scenario.section import Section
 from cogradar.shared.scenario.tables import MODES, MOST_TRACKS, with_defaults
@@ -142,7 +142,8 @@ class BeliefSection(Section):
     n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
     max_tries: Annotated[int, Field(ge=1, le=10_000)]
     filter: Annotated[
-        Literal["likelihood", "published", "gaussian"],
+        str,
+        Chosen(BELIEF),
         Field(
             description="published: the paper's rejection with amplitudes in levels and the last sigma_hat, and its"
             " search over all bins with random rollouts; likelihood: the same posteriors and values with less variance;"

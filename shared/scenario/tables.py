@@ -28,6 +28,11 @@ TRUE_RULES = {  # ... by those that know the truth, which is possible only where
     "oracle": "cogradar.services.runs.oracle:true_bin",
 }
 RULES = ChainMap(TRUE_RULES, BIN_RULES)  # in their order, those that know the truth last
+BELIEFS = {  # how a track keeps its belief: `radar.belief.filter`
+    "likelihood": "cogradar.shared.tracking.filters:PARTICLES",
+    "published": "cogradar.shared.tracking.filters:PARTICLES",
+    "gaussian": "cogradar.shared.tracking.filters:MIXTURE",
+}
 DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "ar6-t": "cogradar.shared.world.disturbance:AR6_T",
     "ar3-t": "cogradar.shared.world.disturbance:AR3_T",

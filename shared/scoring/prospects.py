@@ -25,6 +25,7 @@ from cogradar.shared.scenario.limits import (
     said_dwells,
     tree_bytes,
 )
+from cogradar.shared.scenario.plugins.names import is_own, short
 from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import FIDELITY, POWER_RULES, REACQUIRE_BELOW
@@ -347,14 +348,15 @@ def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
 
 
 def _of_filter(radar: RadarConfig) -> list[str]:
-    """Keys of particles that were set although the belief is of Gaussians; those that every scenario sets are none."""
-    if radar.belief.filter != "gaussian":
+    """Keys of particles that were set although the belief has none; those that every scenario sets are none."""
+    if radar.belief.filter != "gaussian" and not is_own(radar.belief.filter):
         return []
     preset = FIDELITY[radar.fidelity]["belief"]
     if radar.fidelity == "paper" and radar.planner.looks == "joint":
         preset = preset | {"reacquire_below": REACQUIRE_BELOW}
+    name = short(radar.belief.filter)
     return [
-        f'radar.belief.{key} = {value:g} has no effect with radar.belief.filter = "gaussian": leave it out'
+        f'radar.belief.{key} = {value:g} has no effect with radar.belief.filter = "{name}": leave it out'
         for key in ("kernel_bandwidth", "reacquire_below")
         if (value := getattr(radar.belief, key)) != preset[key]
     ]

@@ -5,14 +5,19 @@ mixture has no rule of its own for either: turns and a belief that was wrong are
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import log
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from cogradar.shared.tracking.belief.gaussian_mixture import WIDTH, GaussianMixture, begin_at_detection, condition
+from cogradar.shared.scenario.plugins.kinds import BELIEF
+from cogradar.shared.scenario.plugins.resolver import Caller, resolve
+from cogradar.shared.tracking.belief.gaussian_mixture import GaussianMixture, begin_at_detection, condition
 from cogradar.shared.tracking.belief.interface import Belief, Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.own import BeliefFilter, OwnBelief, observation_of
+from cogradar.shared.tracking.belief.own import guarded as guarded_filter
 from cogradar.shared.tracking.belief.particle_filter import STEPS, predict, update
 from cogradar.shared.tracking.belief.recovery import coasted, reacquire, remembered_hit
 from cogradar.shared.tracking.initiation import begin_about
@@ -45,10 +50,13 @@ class Observed(NamedTuple):
 class Filter(Protocol):
     """What a track asks of its filter."""
 
+    def restored(self, model: TrackerModel, rows: Floats) -> Belief:
+        """The belief that has these `rows`."""
+
     def born(self, model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Belief:
         """Belief of a target after its first detection."""
 
-    def begun(self, model: TrackerModel, states: Floats) -> Belief:
+    def begun(self, model: TrackerModel, states: Floats, rng: np.random.Generator) -> Belief:
         """Belief of a target that is in one of these equally probable states, (n, 4)."""
 
     def ahead(self, model: TrackerModel, state: TrackState, rng: Random) -> Floats | None:
@@ -64,10 +72,13 @@ class Filter(Protocol):
 class ParticleFilter:
     """Particles; weighed by the likelihood of the looks, or kept and rejected as the paper does."""
 
+    def restored(self, _model: TrackerModel, rows: Floats) -> Belief:
+        return Particles(rows)
+
     def born(self, model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Belief:
         return Particles(begin_about(model, hit, rng))
 
-    def begun(self, _model: TrackerModel, states: Floats) -> Belief:
+    def begun(self, _model: TrackerModel, states: Floats, _rng: np.random.Generator) -> Belief:
         return Particles(states)
 
     def ahead(self, model: TrackerModel, state: TrackState, rng: Random) -> Floats | None:
@@ -87,10 +98,13 @@ class ParticleFilter:
 class MixtureFilter:
     """Gaussians, one for each mode of motion. Nothing in it is drawn."""
 
+    def restored(self, _model: TrackerModel, rows: Floats) -> Belief:
+        return GaussianMixture.of_rows(rows)
+
     def born(self, model: TrackerModel, hit: Looks, _rng: np.random.Generator) -> Belief:
         return begin_at_detection(model, hit)
 
-    def begun(self, model: TrackerModel, states: Floats) -> Belief:
+    def begun(self, model: TrackerModel, states: Floats, _rng: np.random.Generator) -> Belief:
         mean = mean_state(states)
         return GaussianMixture.of_moments(mean, covariance_of_state(states, mean), model.is_mixture)
 
@@ -118,18 +132,49 @@ def _one_more_miss(state: TrackState, evidence: float) -> dict[str, Any]:
     return {"looked": np.empty((n, 0)), "log_evidence": state.log_evidence + log(max(evidence, _TINY))}
 
 
-FILTERS: dict[str, Filter] = {
-    "likelihood": ParticleFilter(),
-    "published": ParticleFilter(),
-    "gaussian": MixtureFilter(),
-}
+class OwnFilter:
+    """A user's own: it begins where particles would, and has no recovery but its own."""
+
+    def __init__(self, own: BeliefFilter) -> None:
+        self._own = own
+
+    def restored(self, model: TrackerModel, rows: Floats) -> Belief:
+        return OwnBelief(rows, partial(self._own.states, model.radar))
+
+    def born(self, model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Belief:
+        return self.begun(model, begin_about(model, hit, rng), rng)
+
+    def begun(self, model: TrackerModel, states: Floats, rng: np.random.Generator) -> Belief:
+        return self.restored(model, self._own.begin(model.radar, states, rng))
+
+    def ahead(self, model: TrackerModel, state: TrackState, rng: Random) -> Floats | None:
+        return self._own.predict(model.radar, state.belief.rows, rng())
+
+    def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
+        looks, rng, predicted = dwell.looks, dwell.rng(), dwell.predicted
+        if predicted is None:
+            predicted = self._own.predict(model.radar, state.belief.rows, rng)
+        rows, evidence = self._own.update(model.radar, predicted, observation_of(model, looks), rng)
+        belief = self.restored(model, rows)
+        memory = remembered_hit(looks) if looks.is_hit else _one_more_miss(state, min(evidence, 1.0))
+        after = state._replace(belief=belief, depleted=False, **memory)
+        return Observed(after, belief, evidence, model.of_modes(state.modes).modes)
+
+    def coasted(self, model: TrackerModel, state: TrackState, rng: Random) -> TrackState:
+        belief = self.restored(model, self._own.predict(model.radar, state.belief.rows, rng()))
+        modes = model.of_modes(state.modes).modes
+        return state._replace(belief=belief, modes=modes, **_one_more_miss(state, 1.0))
+
+
+PARTICLES, MIXTURE = ParticleFilter(), MixtureFilter()
+
+
+def guarded(filter_: Any, call: Caller) -> OwnFilter:
+    """A user's own filter. Raises PluginRefused if it lacks a method."""
+    return OwnFilter(guarded_filter(filter_, call))
 
 
 def filter_of(model: TrackerModel) -> Filter:
-    """That of a radar."""
-    return FILTERS[model.belief.filter]
-
-
-def belief_of(rows: Floats) -> Belief:
-    """The belief that has these `rows`."""
-    return GaussianMixture.of_rows(rows) if rows.shape[1] == WIDTH else Particles(rows)
+    """That of a radar. Raises PluginRefused if it is a user's own and cannot be had in this process."""
+    found: Filter = resolve(BELIEF, model.belief.filter)
+    return found

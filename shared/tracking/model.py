@@ -38,6 +38,7 @@ class TrackerModel:
     is_mixture: bool  # of motions; else a target flies straight whatever it did before
     sigma_straight: float  # standard deviation of the acceleration in straight flight, km/s^2
     existence: Existence
+    radar: RadarConfig  # of all this, for filters of a user's own
 
     @property
     def hears_others(self) -> bool:
@@ -53,7 +54,7 @@ class TrackerModel:
                 radar.array.n_bin,
                 radar.echo.amplitude_db,
                 threshold(radar.detector.p_fa),
-                radar.belief.filter == "likelihood",
+                radar.belief.filter not in {"published", "gaussian"},
                 radar.assumes.rcs,
             ),
             response_of(
@@ -76,6 +77,7 @@ class TrackerModel:
             radar.motion.modes == "mixture",
             radar.motion.sigma_straight_km_s2 if radar.motion.modes == "mixture" else radar.motion.sigma_s_km_s2,
             existence_of(radar),
+            radar,
         )._of(modes_at_first())
 
     def of_echo(self, echo: float) -> Self:

@@ -83,7 +83,7 @@ def start(
     return TrackState(
         target=target,
         k=newest.k,
-        belief=filter_of(model).begun(model, particles),
+        belief=filter_of(model).begun(model, particles, rng),
         detected=True,
         depleted=False,
         sigma_hat=hit.hit_sigma,

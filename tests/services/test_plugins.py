@@ -3,9 +3,11 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +22,20 @@ from cogradar.services.campaigns.campaign import Campaign
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.planner.core import PlannerCore
+from cogradar.services.planner.owned_track import snapshot_of
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import HINDERED_S
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
-from cogradar.services.runs.run import strategy_of
+from cogradar.services.runs.run import Progress, as_played, strategy_of
 from cogradar.shared.protocol.events import Membership, Tick
 from cogradar.shared.protocol.messages import Plan, RunStart
-from cogradar.shared.protocol.recovery import NoPlans, NoWaveforms
+from cogradar.shared.protocol.recovery import History, NoPlans, NoWaveforms, Snapshot
 from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.plugins import resolver, sources
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.runner import TICK_S
 from tests.services.campaigns.test_dask_pool import Cluster
 from tests.services.loop import checkpoint, play, scans
@@ -64,6 +68,7 @@ def _start(folder: Path, *settings: str, dwells: int = 12, run: str = "r") -> Ru
     """A run with all of them."""
     own = [
         f"radar.planner.rule={folder}/rule.py:ahead",
+        f"radar.belief.filter={folder}/belief.py:Bootstrap",
         f"world.disturbance.model={folder}/disturbance.py:BURSTS",
         *settings,
     ]
@@ -80,7 +85,7 @@ def _failing(folder: Path, file: str, name: str, body: str) -> str:
 def test_a_run_names_its_sources_and_no_place(folder: Path) -> None:
     start = _start(folder)
     said = start.model_dump_json()
-    for name in ("rule.py:ahead#", "disturbance.py:BURSTS#", "strategy.py:strongest#"):
+    for name in ("rule.py:ahead#", "belief.py:Bootstrap#", "disturbance.py:BURSTS#", "strategy.py:strongest#"):
         assert name in said
     assert str(folder) not in said
     assert RunStart.model_validate_json(said) == start
@@ -90,7 +95,7 @@ def test_in_process_by_name_and_as_objects_it_is_the_same_run(folder: Path) -> N
     digest = in_process.play(_start(folder)).run["digest"]
     assert digest == in_process.play(_start(folder), planners=2).run["digest"]
     assert digest != in_process.play(RunStart.of(load("smoke"), strategy_of("uniform"), 1, 12)).run["digest"]
-    files = ("rule.py", "strategy.py", "disturbance.py")
+    files = ("rule.py", "belief.py", "strategy.py", "disturbance.py")
     namespace: dict[str, Any] = {}  # as a notebook has them
     exec("\n".join((folder / file).read_text() for file in files), namespace)  # noqa: S102 - they are ours
     result = cogradar.run(
@@ -98,6 +103,7 @@ def test_in_process_by_name_and_as_objects_it_is_the_same_run(folder: Path) -> N
         strategy=namespace["strongest"],
         dwells=12,
         rule=namespace["ahead"],
+        belief=namespace["Bootstrap"],
         disturbance=namespace["BURSTS"],
     )
     assert result.digest == digest
@@ -162,6 +168,63 @@ def test_a_strategy_that_fails_fails_its_run(folder: Path, body: str, said: str)
     with pytest.raises(RunFailed, match=r"allocator-0: bad\.py:f") as failure:
         in_process.play(RunStart.of(load("smoke"), strategy, 1, 4))
     assert said.replace("line 2", "line 3") in str(failure.value)
+
+
+@pytest.mark.parametrize(
+    ("method", "body", "said"),
+    [
+        ("begin", "return 1 / 0", "bad.py, line 8: ZeroDivisionError"),
+        ("begin", "return states[0]", "bad.py:B returned float64 of shape (4,) of begin: must be (n, m) numbers"),
+        ("begin", "return np.zeros((1, 200_001))", "at most 200000 numbers, 50000 on an axis"),
+        ("predict", "return belief + float('nan')", "numbers of predict that are not finite, or beyond 1e+09"),
+        ("predict", "return 2e9 * belief", "numbers of predict that are not finite, or beyond 1e+09"),
+        ("update", "return belief", "returned ndarray of update: must be (belief, evidence)"),
+        ("update", "return belief, -1.0", "returned evidence -1.0 of update: must be a finite number from 0"),
+        ("update", "return belief, seen.likelihood(belief[:, :2]).sum()", "likelihood of states of shape"),
+        ("states", "return belief[:3]", "states of shape (3, 4), x from"),
+        ("states", "return -belief", "must be (n, 4), n from 5 to 50000, x from 0"),
+    ],
+)
+def test_a_belief_that_fails_fails_its_run(folder: Path, method: str, body: str, said: str) -> None:
+    head = (
+        "import importlib.util as u, numpy as np\ns = u.spec_from_file_location('t', {!r})\nm = u.module_from_spec(s)\n"
+    )
+    arguments = {
+        "begin": "radar, states, rng",
+        "predict": "radar, belief, rng",
+        "update": "radar, belief, seen, rng",
+        "states": "radar, belief",
+    }[method]
+    text = f"s.loader.exec_module(m)\n\nclass B(m.Bootstrap):\n    def {method}(self, {arguments}):\n        {body}\n"
+    (folder / "bad.py").write_text(head.format(f"{folder}/belief.py") + text)
+    scenario = load("smoke", [f"radar.belief.filter={folder}/bad.py:B"])
+    with pytest.raises(RunFailed, match=r"planner-0: bad\.py:B") as failure:
+        in_process.play(RunStart.of(scenario, strategy_of("uniform"), 1, 4))
+    assert said in str(failure.value)
+
+
+def test_a_snapshot_of_a_belief_of_ones_own_has_all_of_it(folder: Path) -> None:
+    """A planner that has nothing but snapshot and scans since says the same; one without the filter is told why."""
+    start = _start(folder, dwells=40)
+    said = play(start)
+    whole, later = PlannerCore("a"), PlannerCore("b")
+    list(whole.handle(checkpoint(start)))
+    plans, snapshots = list[Plan](), list[Snapshot]()
+    for scan in scans(said):
+        plans += [one for one in whole.handle(scan) if isinstance(one, Plan)]
+        if scan.k == 20:
+            tracks = whole._runs["r"]._tracks
+            snapshots = [snapshot_of("r", tracks[m].state) for m in (0, 1)]
+    assert {snapshot.belief.shape[1] for snapshot in snapshots} == {4}
+    list(later.handle(checkpoint(start, k=21, t=next(scan.t for scan in scans(said) if scan.k == 20))))
+    payloads = [encode(one) for one in snapshots]
+    said_again = [
+        *later.handle(History(run="r", to="b", topic="snapshot", k=20, payloads=payloads)),
+        *(one for scan in scans(said) if scan.k > 20 for one in later.handle(scan)),
+    ]
+    again = [one for one in said_again if isinstance(one, Plan)]
+    assert {(one.k, one.target) for one in again} == {(one.k, one.target) for one in plans if one.k > 20}
+    assert all(one in plans for one in again)
 
 
 @pytest.mark.parametrize(
@@ -277,6 +340,14 @@ def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tm
     start = _start(folder, dwells=1000)  # which takes longer than to be asked for a few times
     expected = in_process.play(start).run["digest"]
     told: list[str] = []
+
+    def kill_one(now: Progress) -> None:
+        """Of the two that play; the other one goes on from the snapshots of its tracks."""
+        if now.t > 400 and (planner := launcher.processes["planner-0"]) not in killed:
+            killed.append(planner)
+            launcher.signal("planner-0", signal.SIGKILL)
+
+    killed: list[int] = []
     with Launcher(LocalProcesses(2), threading.Event()) as launcher:
         environment = os.environ | {sources.VARIABLE: str(other)}
         command = [sys.executable, "-m", "cogradar", "service", "planner", "--name", "stranger", "--with-parent"]
@@ -285,7 +356,8 @@ def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tm
             try:
                 cluster.wait_until_up(launcher.endpoint, [*launcher.names, "stranger"], launcher.check)
                 given = NOBODY | {"notify": told.append}
-                done = cluster.play_on(launcher.endpoint, start, **given)
+                done = cluster.play_on(launcher.endpoint, start, **given | {"report": kill_one})
+                assert killed
                 assert done.run["digest"] == expected
                 nobodys = _start(_changed(shutil.copytree(folder, tmp_path / "third")), run="nobodys")
                 with pytest.raises(RunFailed, match=r"(strategy.py:strongest|disturbance.py:BURSTS): .* has source"):
@@ -293,6 +365,41 @@ def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tm
             finally:
                 stranger.terminate()
     assert [text for text in told if text.startswith("takes no part: stranger: rule.py:ahead: ")]
+
+
+def _received(folder: Path) -> tuple[RunStart, str]:
+    """A run with a front end of her own, which leaves no room for a disturbance, and its name."""
+    own = [f"radar.planner.rule={folder}/rule.py:ahead", f"radar.belief.filter={folder}/belief.py:Bootstrap"]
+    front_end = f"{folder}/front_end.py:Receiver"
+    return RunStart.of(as_played(load("smoke", own), front_end), strategy_of("power-aware"), 1, 12), front_end
+
+
+def test_each_scan_names_the_front_end_that_measured_it(folder: Path, tmp_path: Path) -> None:
+    start, front_end = _received(folder)
+    digests = []
+    for text in ("", "\n# changed\n"):
+        (folder / "front_end.py").write_text((folder / "front_end.py").read_text() + text)
+        store = in_memory()
+        digests.append(in_process.play(start, front_end=front_end, store=store).run["digest"])
+        rows = store.read("SELECT payload FROM message WHERE topic = 'scan'")
+        (name,) = {decode(row["payload"]).model_dump()["front_end"] for row in rows}
+        assert name == f"front_end.py:Receiver#{sha256((folder / 'front_end.py').read_bytes()).hexdigest()[:16]}"
+        store.journal.copy_to(str(tmp_path / f"{len(digests)}.db"))
+    assert digests[0] != digests[1]
+    recorded = in_process.play(start, front_end=f"recorded:{tmp_path}/2.db")
+    assert recorded.run["digest"] == digests[1]
+    simulated = cogradar.run("smoke", dwells=2)
+    assert {dwell.front_end for dwell in simulated.dwells()} == {None}
+
+
+@pytest.mark.zenoh
+def test_over_zenoh_a_front_end_of_ones_own_gives_the_same_run(folder: Path) -> None:
+    kernels.compile_all(lambda _: None)
+    start, front_end = _received(folder)
+    expected = in_process.play(start, front_end=front_end).run["digest"]
+    with Launcher(LocalProcesses(2, front_end=front_end), threading.Event()) as launcher:
+        cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        assert cluster.play_on(launcher.endpoint, start, **NOBODY).run["digest"] == expected
 
 
 def _changed(folder: Path) -> Path:
@@ -313,7 +420,8 @@ def test_campaigns_play_them_in_processes_and_replays_need_the_source(folder: Pa
         return done.stdout + done.stderr
 
     digest = in_process.play(_start(folder)).run["digest"]
-    own = ("--rule", "rule.py:ahead", "--set", "world.disturbance.model=disturbance.py:BURSTS", "--dwells", "12")
+    own = ["--rule", "rule.py:ahead", "--set", "world.disturbance.model=disturbance.py:BURSTS", "--dwells", "12"]
+    own += ["--set", "radar.belief.filter=belief.py:Bootstrap"]
     campaign = ("--runs", "2", "--workers", "2", "--strategies", "strategy.py:strongest,uniform")
     cogradar_("campaign", "smoke", *own, *campaign, "--store", "c.db")
     (row,) = [

@@ -16,6 +16,7 @@ from cogradar.services.analysis.arrays.tracks import Tracks, sent_in
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.plugins.names import PluginError
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import REAL, SHOWN
 from cogradar.shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
@@ -370,9 +371,12 @@ class Result:
             track = None if np.isnan(followed) else int(followed)
         if track is None:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
-        for states in self._stored.states([track - 1], int(k)):
-            if track - 1 in states and states[track - 1].k == k:
-                return states[track - 1].belief.sample()
+        try:
+            for states in self._stored.states([track - 1], int(k)):
+                if track - 1 in states and states[track - 1].k == k:
+                    return states[track - 1].belief.sample()
+        except PluginError as error:
+            raise BadInput(str(error)) from None
         raise BadInput(f"dwell = {dwell}: {self.run} has no track {track} in it, or no scan of it")
 
     @cached_property

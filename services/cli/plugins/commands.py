@@ -13,7 +13,9 @@ from cogradar.services.errors import RunFailed
 def new(
     kind: Annotated[
         str,
-        typer.Argument(help="rule, strategy, objective, disturbance or front-end.", autocompletion=completion.kinds),
+        typer.Argument(
+            help="rule, belief, strategy, objective, disturbance, front-end or feed.", autocompletion=completion.kinds
+        ),
     ],
     file: Annotated[Path, typer.Argument(help="The file to write, NAME.py.")],
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,

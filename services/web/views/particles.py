@@ -25,6 +25,7 @@ from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.limits import n_state
+from cogradar.shared.scenario.plugins.names import PluginError
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.scoring.scan_rows import row_of_track
 from cogradar.shared.tracking.model import TrackerModel, TrackState
@@ -46,15 +47,18 @@ def particles(request: Request, question: Question) -> Response:
     t = int(parameters.get("dwell", known.newest))
     target, track, k = _whose(store, known, parameters, t)
     beliefs: Beliefs = request.app.state.beliefs
-    belief = beliefs.of(store, known, track - 1, k)
-    if belief is None:
+    try:
+        belief = beliefs.of(store, known, track - 1, k)
+        states = None if belief is None else belief.belief.sample()
+    except PluginError as error:  # this process need not have a belief of somebody's own
+        raise Problem(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
+    if states is None:
         of_track = f", track={track}" if target is None else ""
         raise Problem(
             HTTPStatus.UNPROCESSABLE_ENTITY,
             f"dwell {t} is more than {reach(known)} dwells from the nearest belief that is known. In Python:"
             f" cogradar.open(FILE).result({name!r}).particles({target}, {t}{of_track})",
         )
-    states = belief.belief.sample()
     x, _, y, _ = states[:: -(-len(states) // MAX_PARTICLES)].T
     document = {"run": name, "target": target, "track": track, "t": t, "x": x.tolist(), "y": y.tolist()}
     return JSONResponse(document, headers=headers)
@@ -93,7 +97,7 @@ class Beliefs:
         run = known.row["run"]
         if store is not self._store:
             self._store, self._kept = store, OrderedDict()
-        nearest = self._nearest(store, run, track, k)
+        nearest = self._nearest(store, known, track, k)
         begun = _before_first(store, known, track, k) if nearest is None else nearest.k
         if k - begun > reach(known):
             return None
@@ -109,12 +113,13 @@ class Beliefs:
         self._keep(run, nearest)
         return nearest
 
-    def _nearest(self, store: Store, run: str, track: int, k: int) -> TrackState | None:
+    def _nearest(self, store: Store, of: Facts, track: int, k: int) -> TrackState | None:
+        run = of.row["run"]
         ks = [key[2] for key in self._kept if key[:2] == (run, track) and key[2] <= k]
         known = self._kept[run, track, max(ks)] if ks else None
         payload = queries.snapshot(store, run, track + 1, 0 if known is None else known.k + 1, k)
         message = None if payload is None else decode(payload)
-        return state_of(message) if isinstance(message, Snapshot) else known
+        return state_of(_model(of), message) if isinstance(message, Snapshot) else known
 
     def _keep(self, run: str, state: TrackState) -> None:
         self._kept[run, state.target, state.k] = state

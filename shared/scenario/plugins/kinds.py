@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from cogradar.shared.scenario.tables import DISTURBANCES, OBJECTIVES, POWER_RULES, RULES, SIGNALS
+from cogradar.shared.scenario.tables import BELIEFS, DISTURBANCES, OBJECTIVES, POWER_RULES, RULES, SIGNALS
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,14 @@ OBJECTIVE = Kind(
     "cogradar.shared.power.rules:guarded",
     ("allocator",),
 )
+BELIEF = Kind(
+    "belief",
+    "radar.belief.filter",
+    BELIEFS,
+    "BeliefFilter",
+    "cogradar.shared.tracking.filters:guarded",
+    ("planner",),
+)
 DISTURBANCE = Kind(
     "disturbance",
     "world.disturbance.model",
@@ -57,7 +65,8 @@ DISTURBANCE = Kind(
     ("emulator",),
 )
 FRONT_END = Kind("front-end", "--front-end", {}, "FrontEnd", "cogradar.services.front_ends:guarded", ("emulator",))
+FEED = Kind("feed", "--to", {}, "Format", "cogradar.services.feed.feed:guarded")
 SIGNAL = Kind("signal", "world.signal", SIGNALS, loaded_by=("emulator",))
 
-IN_SCENARIO = (RULE, OBJECTIVE, DISTURBANCE)  # whose names stand in a scenario, and may be a user's own
+IN_SCENARIO = (RULE, BELIEF, OBJECTIVE, DISTURBANCE)  # whose names stand in a scenario, and may be a user's own
 OF_RUN = (STRATEGY, *IN_SCENARIO)

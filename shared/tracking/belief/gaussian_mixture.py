@@ -41,7 +41,7 @@ _STEPS = np.array(
 
 
 @cache
-def _normal_points(n: int) -> Floats:
+def normal_points(n: int) -> Floats:
     """Points (n, 4) that are spread as N(0, I), with exactly its mean and covariance."""
     points = ndtri((0.5 + np.arange(1, n + 1)[:, np.newaxis] * _STEPS) % 1.0)
     points -= points.mean(axis=0)
@@ -79,7 +79,7 @@ class GaussianMixture(_Modes):
 
     @cached_property
     def _samples(self) -> Floats:
-        return _sample(self.weights, self.means, self.covariances, _normal_points(MIXTURE_STATES))
+        return _sample(self.weights, self.means, self.covariances, normal_points(MIXTURE_STATES))
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean, (4,), and covariance, (4, 4), of the mixture."""

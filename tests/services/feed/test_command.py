@@ -1,6 +1,7 @@
 """`cogradar feed` of a run that is stored."""
 
 import json
+import socket
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,30 @@ def test_a_run_without_a_site_is_put_where_the_command_says(file: str, tmp_path:
     assert here("feed", *options, "--site", "-33.9,18.4,10,60").returncode == 0
     receiver = json.loads((tmp_path / "receiver.json").read_text())
     assert (receiver["lat"], receiver["lon"]) == (-33.9, 18.4)
+
+
+def test_a_format_of_ones_own_is_a_file(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert here("new", "feed", "lines.py").returncode == 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as display:
+        display.bind(("127.0.0.1", 0))
+        display.settimeout(5.0)
+        given = ("--out", f"udp://127.0.0.1:{display.getsockname()[1]}", "--store", file, "--speed", "0")
+        done = here("feed", "--to", "lines.py:Lines", *given)
+        assert done.returncode == 0, done.stderr
+        lines = [display.recv(1000).split() for _ in range(10)]
+    assert {len(line) for line in lines} == {6}
+    assert {line[1] for line in lines} == {b"1", b"2"}
+    text = (tmp_path / "lines.py").read_text()
+    for line, instead, code, said in (
+        ("return [", "return 1 / 0 and [", 1, "wrong.py:Lines: "),
+        ("return [", "return b'' and [", 1, "wrong.py:Lines returned b'': encode must return Outputs of bytes"),
+        ("def encode", "def decode", 2, "a feed needs the method encode, which it has not"),
+        ("class Lines(Format):", "class Lines(Format):\n    has_files = True\n", 2, "this format is files"),
+    ):
+        (tmp_path / "wrong.py").write_text(text.replace(line, instead).replace("Lines(Format)", "Lines"))
+        done = here("feed", "--to", "wrong.py:Lines", *given)
+        assert (done.returncode, said in done.stderr.replace("\n", " ")) == (code, True), done.stderr
 
 
 def test_without_services_the_cure_is_said(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cogradar.services.delivery.pacing import Lockstep
 from cogradar.services.planner.decision import decide
@@ -103,7 +104,7 @@ def test_a_restored_track_continues_as_the_one_that_observed_every_scan(fidelity
     replayed, restored, attempts = Looking(fidelity, seed), list[TrackState](), 0
     for scan in replayed.scans():
         restored = [observe(replayed.model, state, detections_of(replayed.model, scan)) for state in restored]
-        restored.append(state_of(received(replayed.state)))
+        restored.append(state_of(replayed.model, received(replayed.state)))
         attempts = max(attempts, replayed.state.attempts)
         expected, bin_ = snapshot_of("r", replayed.state), replayed.bin(replayed.state)
         for state in restored:
@@ -120,7 +121,7 @@ def test_a_track_that_was_missed_for_too_long_is_restored_without_its_last_detec
     snapshot = received(state)
     assert snapshot.hit_bin == -1
     after = detections_of(track.model, _scan(110, [], seed, BIN))
-    one, other = (observe(track.model, each, after) for each in (state, state_of(snapshot)))
+    one, other = (observe(track.model, each, after) for each in (state, state_of(track.model, snapshot)))
     assert snapshot_of("r", one) == snapshot_of("r", other)
 
 
@@ -158,3 +159,11 @@ def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], reas
     check_snapshot(snapshot, begun.radar)
     with pytest.raises(Refused, match=reason):
         check_snapshot(snapshot.model_copy(update=changed), begun.radar)
+
+
+@pytest.mark.parametrize("belief", [np.zeros((3, 31)), np.eye(3, 31, 6) + np.eye(3, 31)])
+def test_a_snapshot_of_gaussians_that_are_none_is_refused(belief: NDArray[np.float64]) -> None:
+    begun, radar = Looking("robust", 8), smoke_radar("best-range", filter="gaussian")
+    changed = {"belief": belief, "remembered": np.empty((0, 4)), "looked": np.empty((0, 0))}
+    with pytest.raises(Refused, match="weights of a belief must be 0 or more and sum to 1"):
+        check_snapshot(received(begun.state).model_copy(update=changed), radar)

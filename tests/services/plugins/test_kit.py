@@ -24,7 +24,8 @@ def test_each_file_to_begin_with_is_as_it_should_be(kind: str, tmp_path: Path) -
     assert len({one.name for one in found}) == 1
     assert f"as {kind} mine.py:" in found[0].found
     repeated = set() if kind == "front-end" else {"determinism"}
-    assert {one.check for one in found} >= {"answers", *repeated, "random numbers", "arguments", "cost"}
+    kept = {"snapshot"} if kind == "belief" else {"arguments"}
+    assert {one.check for one in found} >= {"answers", *repeated, *kept, "random numbers", "cost"}
     told = {one.found.split()[1] for one in kit.check(str(file)) if one.check == "loads"}
     assert told == {"strategy" if kind == "objective" else kind}  # which look alike
 
@@ -58,6 +59,15 @@ def test_what_is_wrong_with_a_rule_is_found(body: str, check: str, said: str, tm
     assert said in found[check].found
 
 
+def test_a_belief_that_remembers_more_than_its_numbers_is_found(tmp_path: Path) -> None:
+    templates.write("belief", tmp_path / "mine.py")
+    text = (tmp_path / "mine.py").read_text()
+    counts = "        self.n = getattr(self, 'n', 0) + 1\n        belief = belief + self.n\n        dt = radar"
+    (tmp_path / "mine.py").write_text(text.replace("        dt = radar", counts, 1))
+    wrong = {one.check: one.found for one in kit.check(f"{tmp_path}/mine.py:Bootstrap") if not one.ok}
+    assert wrong["snapshot"] == "goes on otherwise from a snapshot, or beside another track, after dwell 1"
+
+
 def test_a_disturbance_of_another_power_is_found(tmp_path: Path) -> None:
     head = "import numpy as np\n\n\nclass D:\n    def draw(self, n, rng):\n        return 3.0 * rng.normal(size=n)\n"
     more = "    def power_spectrum(self, nu):\n        return np.ones(np.shape(nu))\n"
@@ -70,14 +80,14 @@ def test_a_disturbance_of_another_power_is_found(tmp_path: Path) -> None:
 def test_what_is_no_file_to_be_checked_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.py").write_text("x = 1\n")
     for name, said in (
-        ("empty.py", "has nothing of rule, strategy"),
+        ("empty.py", "has nothing of rule, belief, strategy"),
         ("nowhere.py", "No such file"),
         ("empty.py:y", "there is no y"),
     ):
         with pytest.raises(BadInput, match=said):
             kit.check(str(tmp_path / name))
-    with pytest.raises(BadInput, match="must be one of disturbance, front-end, objective"):
-        templates.write("belief", tmp_path / "mine.py")
+    with pytest.raises(BadInput, match="must be one of belief, disturbance, feed, front-end, objective"):
+        templates.write("motion", tmp_path / "mine.py")
     templates.write("rule", tmp_path / "mine.py")
     with pytest.raises(BadInput, match="is there already"):
         templates.write("rule", tmp_path / "mine.py")
