@@ -45,7 +45,7 @@ def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lam
         return _recorded(name)
     if name.startswith(_ZENOH):
         return _over_zenoh(name, connect, check)
-    return OpensInOwnThread(_named(name))
+    return OpensInOwnThread(*_named(name))
 
 
 def settled(name: str) -> str:
@@ -121,15 +121,16 @@ def _recording(name: str) -> tuple[str, str]:
     return file, str(found["run"])
 
 
-def _named(name: str) -> Callable[[Settings], FrontEnd]:
-    """The class, or function, of somebody else."""
+def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
+    """The class, or function, of somebody else, and its name with the hash of its source."""
     try:
-        made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, settled_name(FRONT_END, name, Path()))
+        source = settled_name(FRONT_END, name, Path())
+        made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, source)
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
         must = f"must be {SIMULATED}, {_RECORDED}FILE[#RUN], {_ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
         raise BadInput(f"{name}: {must if is_none else error}") from None
-    return made
+    return made, source
 
 
 def guarded(make: Any, call: Caller) -> Callable[[Settings], FrontEnd]:

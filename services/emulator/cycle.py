@@ -261,7 +261,7 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData, wavefor
         with np.errstate(over="ignore"):  # what is infinite then is refused
             said |= {
                 name: values
-                if name in {"fault", "waveform_k", "utc_s"}
+                if name in {"fault", "waveform_k", "utc_s", "front_end"}
                 else np.asarray(values, dtype=_TYPES.get(name, np.float64))
                 for name, values in vars(measured).items()
                 if values is not None and name not in {"roster", "settings"}

@@ -121,6 +121,7 @@ class ScanData:
     waveform_k: int | None = None
     settings: Sequence[Setting] | None = None  # of a recording: what was set by commands
     utc_s: float | None = None  # when it was measured, s since 1970 in UTC, if the receiver knows
+    front_end: str | None = None  # Name of the user's own front end, which the emulator puts in.
 
     @classmethod
     def not_measured(cls, fault: str | None = None) -> Self:

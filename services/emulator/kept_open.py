@@ -5,7 +5,7 @@ measurement: it is tried again at once, a few times, so that a fault that passes
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cogradar.services.delivery.pacing import Pacing
 from cogradar.services.emulator.aside import CannotOpen, StillWaiting
@@ -48,6 +48,7 @@ class KeptOpen:
     def __init__(self, opens: OpenFrontEnd, checkpoint: EmulatorCheckpoint, pacing: Pacing, counts: Counts) -> None:
         """Open it. At the beginning of a run it must succeed: what fails then is a setting more often than a fault."""
         self._opens, self._checkpoint, self._pacing, self._counts = opens, checkpoint, pacing, counts
+        self._source: str | None = getattr(opens, "source", None)  # of a user's own, with its hash
         self._open: FrontEnd | None = None
         self._delay_s = 0.0
         self._failed_s: float | None = None  # when the dwell was due in which it failed; None: its time is counted
@@ -100,7 +101,7 @@ class KeptOpen:
                 self._reopen(now_s, k, clock[0])
             if self._open is not None:
                 try:
-                    return self._open.transmit(k, clock[1], asked)
+                    return self._named(self._open.transmit(k, clock[1], asked))
                 except (Interrupted, StillWaiting):  # the user's wish, or time that passes: not the front end's fault
                     raise
                 except SenselessScan as error:
@@ -114,6 +115,12 @@ class KeptOpen:
                 return ScanData.not_measured(self.fault)
             self._tries += 1
         raise FrontEndError(f"{self.fault}; tried {ATTEMPTS} times")
+
+    def _named(self, measured: ScanData | None) -> ScanData | None:
+        """What was measured, with the name of the user's own front end that did."""
+        if self._source is None or not isinstance(measured, ScanData):
+            return measured
+        return replace(measured, front_end=self._source)
 
     def _begin(self, now_s: float) -> None:
         """A dwell begins. The pause after a failure is counted from its end, which may have come late."""

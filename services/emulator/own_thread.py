@@ -23,8 +23,9 @@ Answers = queue.SimpleQueue[tuple[Any, Exception | None]]
 class OpensInOwnThread:
     """Opens front ends that may hang."""
 
-    def __init__(self, make: Callable[[Settings], FrontEnd]) -> None:
-        self._make = make
+    def __init__(self, make: Callable[[Settings], FrontEnd], source: str | None = None) -> None:
+        """source : its name with the hash of its source."""
+        self._make, self.source = make, source
         self._left: list[threading.Thread] = []
 
     def __call__(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:

@@ -33,6 +33,7 @@ from cogradar.shared.protocol.fields import (
     Ints,
     Lacking,
     Measured,
+    OwnName,
     Rate,
     RunId,
     Seed,
@@ -194,6 +195,7 @@ class Scan(Message):
     waveform_k: Annotated[int, Field(ge=-1)] | None = None
     settings: Settings | None = None  # of the waveform, so that planners are told
     utc_s: UtcSeconds | None = None  # when it was measured, since 1970 in UTC, if the receiver knows
+    front_end: OwnName | None = None  # the user's own class that measured it, with the hash of its source
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

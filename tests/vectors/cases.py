@@ -168,6 +168,7 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
             "waveform_k": -1,
             "settings": [ACTIONS[6]],
             "utc_s": 1.7e9 + 0.123456,
+            "front_end": "receiver.py:Receiver#0123456789abcdef",
         },
     ),
     Truth: (

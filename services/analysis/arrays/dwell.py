@@ -55,6 +55,11 @@ class Dwell:
         return self._said.scan.utc_s
 
     @property
+    def front_end(self) -> str | None:
+        """Your own front end that measured the dwell, FILE.py:NAME with the hash of its source; None: another one."""
+        return self._said.scan.front_end
+
+    @property
     def plans(self) -> Sequence[Plan]:
         """What each track asks for, as messages."""
         return self._said.plans
