@@ -33,6 +33,14 @@ COMMAND_S = 600.0
 CHANGE_S = 300.0
 
 
+def compose_is_there() -> bool:
+    """Whether there is Docker Compose, which reads files without an engine."""
+    if shutil.which("docker") is None:
+        return False
+    command = ["docker", "compose", "version"]
+    return subprocess.run(command, capture_output=True, check=False, timeout=CHANGE_S).returncode == 0
+
+
 @functools.cache
 def engine_answers() -> bool:
     """Whether a Docker engine and Compose are there."""

@@ -17,6 +17,8 @@ from cogradar.services.cli.console import CONNECT_VARIABLE, FRONT_END_VARIABLE
 from cogradar.services.topology import SERVICES
 from cogradar.services.web.address import COMMAND_VARIABLE, HOSTS_VARIABLE
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.plugins.kinds import OF_RUN
+from cogradar.shared.scenario.plugins.sources import VARIABLE
 from tests.containers.deployments import (
     BASE,
     ENVIRONMENT_FILE,
@@ -33,6 +35,7 @@ from tests.containers.deployments import (
     started_by_unit,
     unit_settings,
 )
+from tests.containers.engine import compose_is_there, docker
 
 OLDEST, NEWEST = "1.29", "1.37"  # Kubernetes releases that the manifests are checked against
 WAYS = {"compose": from_compose, "kubernetes": from_kubernetes}
@@ -247,6 +250,28 @@ def test_a_front_end_is_given_to_the_emulator_alone_with_a_way_to_its_device() -
     assert mounted.endswith(":/front-ends:ro")
 
 
+def test_compose_mounts_plug_ins_where_they_are_loaded() -> None:
+    """In each process that loads one, also for the page, and in those that begin runs.
+
+    As Compose itself reads the files, if it is there.
+    """
+    found = yaml.safe_load((PLUGINS / "compose.yml").read_text(encoding="utf-8"))
+    loading = {role for kind in OF_RUN for role in kind.loaded_by}
+    assert set(found["services"]) == {*loading, "metrics", "operator", "cli"} <= set(compose_file()["services"])
+    for name, service in found["services"].items():
+        (mounted,) = service["volumes"]
+        assert mounted.endswith(f":{service['environment'][VARIABLE]}:ro"), name
+    if not compose_is_there():
+        return
+    files = ("-f", "docker-compose.yml", "-f", "deploy/plugins/compose.yml")
+    read = yaml.safe_load(docker("compose", *files, "--profile", "*", "config", COGRADAR_OWN="/srv/mine"))["services"]
+    for name in found["services"]:
+        volumes = [(one["source"], one["target"], one.get("read_only")) for one in read[name]["volumes"]]
+        assert ("/srv/mine", "/plugins", True) in volumes, name
+        assert read[name]["environment"][VARIABLE] == "/plugins"
+    assert not any(VARIABLE in (read[role]["environment"] or {}) for role in ("recorder", "router"))
+
+
 def test_kubernetes_mounts_the_front_end_that_it_names(kubernetes_validate: ModuleType) -> None:
     made = yaml.safe_load((FRONT_END / "kustomization.yaml").read_text(encoding="utf-8"))
     assert (FRONT_END / made["resources"][0]).resolve() == BASE
@@ -277,7 +302,7 @@ def test_the_drop_in_opens_one_device_and_nothing_else() -> None:
     assert set(found) == {"DeviceAllow", "SupplementaryGroups"}
 
 
-FRONT_END = ROOT / "deploy" / "front-end"
+FRONT_END, PLUGINS = ROOT / "deploy" / "front-end", ROOT / "deploy" / "plugins"
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 
 
