@@ -10,6 +10,7 @@ from typer.main import get_command
 
 import cogradar.services.web
 from cogradar.services.cli.app import app
+from cogradar.services.cli.manual.examples import COMMANDS
 from cogradar.services.web.openapi import describe
 from docs.generator.markdown import code, prose, table
 
@@ -19,7 +20,11 @@ PAGE = Path(cogradar.services.web.__path__[0]) / "page"
 def commands() -> str:
     """A part per command: what it does, arguments and options."""
     group: Any = get_command(app)
-    return "\n".join(_command(name, command) for name, command in group.commands.items())
+    panels = list(dict.fromkeys(shown.panel for shown in COMMANDS.values()))
+    listed = [(panel, [name for name in COMMANDS if COMMANDS[name].panel == panel]) for panel in panels]
+    parts = [table(("panel", "commands"), [(panel, ", ".join(map(code, names))) for panel, names in listed])]
+    parts += [_command(name, group.commands[name]) for _, names in listed for name in names]
+    return "\n".join(parts)
 
 
 def _command(name: str, command: Any) -> str:
@@ -28,7 +33,10 @@ def _command(name: str, command: Any) -> str:
     text = "\n\n".join(prose(part) for part in inspect.cleandoc(command.help or "").split("\n\n"))
     records = [record for option in command.params if (record := option.get_help_record(context))]
     rows = [(code(shown.replace("<", "").replace(">", "")), prose(meaning)) for shown, meaning in records]
-    return f"### cogradar {name}\n\n{text}\n\n```\n{usage}\n```\n\n{table(('argument, option', 'meaning'), rows)}"
+    shown = "\n".join(f"cogradar {example}" for example in COMMANDS[name].examples)
+    examples = f"```sh\n{shown}\n```\n\n"
+    options = table(("argument, option", "meaning"), rows)
+    return f"### cogradar {name}\n\n{text}\n\n```\n{usage}\n```\n\n{examples}{options}"
 
 
 def paths() -> str:

@@ -14,6 +14,7 @@ import typer
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.cli import completion
 from cogradar.services.cli.console import (
+    BUILD,
     DEFAULT_ENDPOINT,
     AskedOption,
     CsvOption,
@@ -26,6 +27,7 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
+    newest_store,
     out,
     print_csv,
     print_json,
@@ -33,7 +35,7 @@ from cogradar.services.cli.console import (
     say,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
-from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.errors import BadInput, NoMetrics, RunFailed, check_stop
 
 Rows = Sequence[dict[str, Any]]
 
@@ -78,7 +80,9 @@ MetricArgument = Annotated[
 
 def query(
     metric: MetricArgument,
-    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
+    run_: Annotated[
+        str | None, typer.Option("--run", metavar="RUN", help="This run, or all; the newest if left out.")
+    ] = None,
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
     seed: SeedFilter = None,
@@ -94,7 +98,10 @@ def query(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
-    """Ask the metrics service, during a run or after it.
+    """Ask a running system or a store for numbers.
+
+    Without --store and --connect, and if no system answers, it asks the newest
+    store in build/ and says so.
 
     Columns are called as in JSON, with their units; x, y and their estimates
     x_hat, y_hat are in km, vx, vy in km/s. A table has as many of them as fit
@@ -104,8 +111,6 @@ def query(
     for as if they were independent. Dwells of one run are not: `cogradar
     campaign` and `report` give intervals over runs.
     """
-    from cogradar.services.metrics import client as asking
-
     parameters = filters(
         run=run_,
         scenario=scenario,
@@ -121,8 +126,7 @@ def query(
             raise BadInput("--json and --csv: one of them")
         if metric not in completion.METRICS:
             raise BadInput(f"metric = {metric!r}: must be one of {', '.join(completion.METRICS)}")
-        with asking.source(store, connect) as ask:
-            rows = ask(metric, parameters)
+        rows = _answers(store, connect, metric, parameters)
         if columns is not None:
             rows = _only(rows, columns.split(","))
     if as_json:
@@ -131,6 +135,21 @@ def query(
         print_csv(rows)
     else:
         _show(rows, metric, chosen=columns is not None, wide=wide)
+
+
+def _answers(store: str | None, connect: str, metric: str, parameters: dict[str, str]) -> Rows:
+    """Rows of a store or a service; of the newest store in build/ if neither was named and no service answers."""
+    from cogradar.services.metrics import client as asking
+
+    try:
+        with asking.source(store, connect) as ask:
+            return ask(metric, parameters)
+    except NoMetrics:
+        if store is not None or connect != DEFAULT_ENDPOINT or (found := newest_store()) is None:
+            raise
+    say(f"{found}: the newest store in {BUILD}/; no service answers at {connect}", err)
+    with asking.source(found, connect) as ask:
+        return ask(metric, parameters)
 
 
 def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
@@ -172,11 +191,12 @@ def export(
     ] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b; of all formats.")] = None,
     rate: Annotated[
-        float | None, typer.Option(min=1.0, max=50.0, help="Of a clip: dwells a second; 10 if left out.")
+        float | None,
+        typer.Option(min=1.0, max=50.0, metavar="HZ", help="Of a clip: dwells per second; 10 if left out."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
-    """Write a run into one file: a table, the whole run for a viewer, or a moving picture.
+    """Write a run into one file: a table, the whole run for a viewer, or a GIF.
 
     Columns are called as in `query`: x and y are in km, vx and vy in km/s,
     others have their units in their names. Angles are from boresight, nu is
@@ -213,9 +233,9 @@ def replay(
 ) -> None:
     """Feed a stored run into one core, and compare its answers bit for bit.
 
-    The exit code is 1 if an answer differs: what differs first is printed. So
-    whoever changes a planner sees whether, and from which dwell on, it does
-    anything else.
+    The exit code is 1 if an answer differs; the first difference is printed.
+    After a change of a planner this shows whether, and from which dwell on, it
+    decides otherwise.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -259,7 +279,10 @@ def feed(
     connect: AskedOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
     rate: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, help="Most pictures a second, the newest ones; 0: every dwell.")
+        float,
+        typer.Option(
+            min=0.0, max=1000.0, metavar="HZ", help="Most pictures per second, the newest ones; 0: every dwell."
+        ),
     ] = 10.0,
     speed: Annotated[
         float, typer.Option(min=0.0, max=1e6, help="With --store: so many times as fast as the run; 0: at once.")
@@ -281,7 +304,7 @@ def feed(
         str, typer.Option(metavar="A,B", help="ASTERIX: 034 the radar, 048 its plots and tracks, 062 tracks.")
     ] = "034,062",
 ) -> None:
-    """Tell other systems the tracks of a run: maps, displays, centres.
+    """Send the tracks of a run to other systems: maps, displays, control centres.
 
     Without RUN it follows the newest run, and those that begin after it, until
     Ctrl-C. Each picture has all tracks, so that a display which joins late is
@@ -330,7 +353,7 @@ def schema(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
-    """Describe what processes send each other, for programs in other languages."""
+    """Describe all messages, for programs in other languages."""
     with command(at_once=True):
         from cogradar.services.analysis.export.whole import whole
         from cogradar.shared.wire.contract import asyncapi, json_schema

@@ -2,6 +2,7 @@
 
 import sys
 import uuid
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +31,7 @@ from cogradar.services.cli.console import (
     print_json,
     say,
 )
+from cogradar.services.cli.manual import examples
 from cogradar.services.cli.plugins import commands as cli_plugins
 from cogradar.services.cli.plugins.options import PluginsOption
 from cogradar.services.errors import BadInput, RunFailed
@@ -47,7 +49,7 @@ from cogradar.shared.scenario.scenario import Scenario
 
 app = typer.Typer(
     name="cogradar",
-    help="A distributed cognitive radar: POMCP planning and max-min power allocation in closed loop, over Zenoh.",
+    help="A cognitive radar in simulation: POMCP planning and max-min power allocation in closed loop, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -73,10 +75,6 @@ def _options(
     """Options that come before a command."""
 
 
-app.command()(cli_runs.run)
-
-
-@app.command()
 def service(
     role: Annotated[Role, typer.Argument(metavar="ROLE", show_choices=False, help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
@@ -156,7 +154,9 @@ def service(
     ] = None,
     rate: Annotated[
         float,
-        typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
+        typer.Option(
+            envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, metavar="HZ", help="Operator: dwells per second."
+        ),
     ] = 10.0,
     http: Annotated[
         str,
@@ -165,7 +165,7 @@ def service(
     _plugins: PluginsOption = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
-    """Be one process of the system until SIGTERM."""
+    """Run one process of the system until SIGTERM."""
     from cogradar.services import process
 
     made_up = f"{role}-{uuid.uuid4().hex[:8]}"
@@ -194,7 +194,6 @@ def service(
         process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
 
 
-@app.command()
 def scenarios(
     show: Annotated[
         str | None,
@@ -222,7 +221,6 @@ def scenarios(
             out.print(f"{name:13} {title}", soft_wrap=True)
 
 
-@app.command()
 def sky(
     file: Annotated[
         Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, made-up positions.")
@@ -269,7 +267,7 @@ def sky(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""
+    """Write a scenario of a whole sky: invented traffic, or the aircraft of a recording."""
     with command(at_once=True):
         from cogradar.services.skies import make
 
@@ -293,7 +291,6 @@ def sky(
     say(f"{file}: {made.said}")
 
 
-@app.command()
 def check(
     file: Annotated[
         str,
@@ -310,11 +307,12 @@ def check(
     ] = None,
     _plugins: PluginsOption = None,
 ) -> None:
-    """Validate a scenario, or a thing of your own: all that is wrong with it.
+    """Check a scenario or a plug-in of your own, and name every fault.
 
-    Of a scenario it says what its targets are like and what makes no sense.
-    Of a rule, a strategy, an objective or a disturbance: whether its answers
-    make sense and are the same each time, and what a call costs.
+    For a scenario it prints what its targets are like, and warns of settings
+    that make no sense. For a rule, a strategy, an objective or a disturbance
+    it prints whether its answers make sense and are the same each time, and
+    what a call costs.
     """
     if cli_plugins.is_of_author(file):
         cli_plugins.check_own(file, kind)
@@ -363,27 +361,35 @@ def _loaded(file: str, settings: list[str] | None) -> Scenario:
         raise BadInput("\n".join(error.faults)) from None
 
 
-for other in (
-    cli_answers.query,
-    cli_answers.export,
-    cli_answers.replay,
-    cli_answers.feed,
-    cli_answers.schema,
-    cli_runs.cancel,
-    cli_campaigns.campaign,
-    cli_campaigns.sweep,
-    cli_campaigns.report,
-    cli_campaigns.figures,
-    cli_bench.chaos,
-    cli_bench.verify,
-    cli_calibrate.calibrate,
-    cli_plugins.new,
-    cli_certs.certs,
-    cli_bench.simulate,
-):
-    app.command()(other)
-app.command("command", context_settings={"ignore_unknown_options": True})(cli_runs.command_run)  # -20 is a bearing
-app.add_typer(cli_bench.bench)
+FUNCTIONS: dict[str, Callable[..., None]] = {
+    "run": cli_runs.run,
+    "scenarios": scenarios,
+    "sky": sky,
+    "check": check,
+    "new": cli_plugins.new,
+    "command": cli_runs.command_run,
+    "cancel": cli_runs.cancel,
+    "query": cli_answers.query,
+    "export": cli_answers.export,
+    "figures": cli_campaigns.figures,
+    "feed": cli_answers.feed,
+    "replay": cli_answers.replay,
+    "campaign": cli_campaigns.campaign,
+    "sweep": cli_campaigns.sweep,
+    "report": cli_campaigns.report,
+    "certs": cli_certs.certs,
+    "service": service,
+    "schema": cli_answers.schema,
+    "calibrate": cli_calibrate.calibrate,
+    "verify": cli_bench.verify,
+    "chaos": cli_bench.chaos,
+    "simulate": cli_bench.simulate,
+}
+for name, function in FUNCTIONS.items():
+    settings = {"ignore_unknown_options": True} if name == "command" else None  # -20 is a bearing
+    panel = examples.COMMANDS[name].panel
+    app.command(name, rich_help_panel=panel, epilog=examples.epilog(name), context_settings=settings)(function)
+app.add_typer(cli_bench.bench, rich_help_panel=examples.COMMANDS["bench"].panel, epilog=examples.epilog("bench"))
 
 
 if __name__ == "__main__":

@@ -233,7 +233,9 @@ def chaos(
     dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
     settings: SetOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
-    kills: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+    kills: Annotated[
+        float, typer.Option(min=0.001, max=MAX_KILLS, metavar="PER_MINUTE", help="Processes killed per minute.")
+    ] = 20.0,
     pace: Annotated[Pace, typer.Option(help="In lockstep digests must be equal, in real time no track may end.")] = (
         Pace.LOCKSTEP
     ),

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from cogradar.services.cli import completion
 from cogradar.services.cli.console import (
+    BUILD,
     CsvOption,
     DwellsOption,
     JsonOption,
@@ -24,6 +25,7 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
+    newest_store,
     out,
     print_csv,
     print_json,
@@ -74,7 +76,10 @@ def campaign(
     dask: DaskOption = None,
     _plugins: PluginsOption = None,
 ) -> None:
-    """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
+    """Play many runs on all cores, with the same seeds for every strategy.
+
+    `cogradar report` summarises them.
+    """
     from cogradar.services.campaigns import campaign as campaigns
 
     with command() as stop:
@@ -107,12 +112,18 @@ def sweep(
     against: Annotated[
         str | None, typer.Option(metavar="KEY=VALUE", help="Compare with this value of an axis, within seeds.")
     ] = None,
-    folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
-    into: Annotated[str | None, typer.Option(help="Markdown file: tables between markers of the store's name.")] = None,
+    folder: Annotated[
+        str | None, typer.Option("--out", metavar="FOLDER", help="Draw a figure of one or two axes there.")
+    ] = None,
+    into: Annotated[
+        str | None, typer.Option(metavar="PAGE", help="Markdown page: tables between markers of the store's name.")
+    ] = None,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
-    """Play every combination of values, same seeds for each: tables, and of one or two axes a figure.
+    """Play every combination of settings with the same seeds, and print tables.
+
+    With --out it draws a figure, of one or two axes.
 
     Each combination is a scenario of its own in the store, NAME-1, NAME-2
     and so on, for `cogradar report --scenario`. A comma within brackets or
@@ -146,7 +157,7 @@ def sweep(
             remarks = results.remarks(kept, found)
         if into:
             results.write(Path(into), Path(store).stem, tables, remarks)
-        files = results.draw(found, axes, Path(folder))
+        files = results.draw(found, axes, Path(folder)) if folder else []
     if as_json:
         print_json(found)
     elif as_csv:
@@ -195,23 +206,23 @@ def _cluster(address: str, asked: "Campaign", display: "CampaignDisplay", stop: 
 
 def report(
     stores: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="STORE...",
-            help="SQLite files, each of a campaign or of other complete runs.",
+            help="SQLite files, each of a campaign or of other complete runs; the newest of build/ if left out.",
             autocompletion=completion.stores,
         ),
-    ],
+    ] = None,
     run: RunFilter = None,
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
     seed: SeedFilter = None,
     into: Annotated[
-        str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
+        str | None, typer.Option(metavar="PAGE", help="Markdown page whose tables to rewrite, between its markers.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals.
+    """Summarise stored runs: detection, errors, lost tracks, strategies, with intervals.
 
     Runs of different scenarios, or numbers of dwells, are reported on one by
     one. Of runs of equal scenario, strategy, seed and dwells the newest counts.
@@ -221,7 +232,7 @@ def report(
 
     with command(at_once=True):
         chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
-        found = [one for store in stores for one in _report_on(store, chosen)]
+        found = [one for store in stores or [_newest()] for one in _report_on(store, chosen)]
         if into:
             report_tables.write(Path(into), found)
     if as_json:
@@ -232,6 +243,14 @@ def report(
         say(report_tables.verdict(one))
         print_tables(out, report_tables.tables(one))
         say(report_tables.caption(one))
+
+
+def _newest() -> str:
+    """The newest store of build/, which is said. Raises BadInput if there is none."""
+    if (found := newest_store()) is None:
+        raise BadInput(f"no STORE, and no *.db in {BUILD}/: name one")
+    say(f"{found}: the newest store in {BUILD}/", err)
+    return found
 
 
 def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
@@ -257,13 +276,18 @@ def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, li
 
 def figures(
     store: Annotated[
-        str, typer.Argument(help="SQLite file of a campaign, or of runs.", autocompletion=completion.stores)
-    ],
+        str | None,
+        typer.Argument(
+            metavar="STORE",
+            help="SQLite file of a campaign, or of runs; the newest of build/ if left out.",
+            autocompletion=completion.stores,
+        ),
+    ] = None,
     run: RunFilter = None,
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
     seed: SeedFilter = None,
-    folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
+    folder: Annotated[str, typer.Option("--out", metavar="FOLDER", help="Where the figures go.")] = "figures",
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF.
 
@@ -274,7 +298,7 @@ def figures(
 
     chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
     files: list[Path] = []
-    with command(at_once=True), _experiments(store, chosen) as (opened, found):
+    with command(at_once=True), _experiments(store or _newest(), chosen) as (opened, found):
         for experiment in found:
             place = Path(folder) if len(found) == 1 else Path(folder, experiment.label)
             try:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -57,6 +58,7 @@ err = _Printable(markup=False, emoji=False, highlight=False, stderr=True)
 
 DEFAULT_ENDPOINT = written.DEFAULT
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
+BUILD = "build"  # folder in which `make` keeps runs
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # as in cogradar.shared.wire.session, which is too slow to import for a line of help
 
 
@@ -73,6 +75,12 @@ def one_source(context: typer.Context, option: typer.CallbackParam, text: str | 
     if all(source is not None and source.name == "COMMANDLINE" for source in sources):
         raise typer.BadParameter("--store reads a file, --connect asks services: one of them")
     return endpoints(text) if option.name == "connect" else text
+
+
+def newest_store() -> str | None:
+    """The store in build/ that was written last, as `make run` and `make watch` leave one; None if there is none."""
+    found = [path for path in Path(BUILD).glob("*.db") if path.is_file()]
+    return str(max(found, key=lambda path: path.stat().st_mtime)) if found else None
 
 
 def number_of_dwells(text: str) -> int:
@@ -146,7 +154,7 @@ StoreOption = Annotated[
     str | None,
     typer.Option(callback=one_source, help="Read this store file; ask no service.", autocompletion=completion.stores),
 ]
-RunFilter = Annotated[str | None, typer.Option("--run", help="Only this run.")]
+RunFilter = Annotated[str | None, typer.Option("--run", metavar="RUN", help="Only this run.")]
 ScenarioFilter = Annotated[
     str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
 ]
@@ -340,7 +348,7 @@ class Pace(StrEnum):
 
 RateOption = Annotated[
     float | None,
-    typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+    typer.Option(min=0.001, max=MAX_RATE_HZ, metavar="HZ", help="Dwells per second in real time; 1/dt_s if left out."),
 ]
 
 

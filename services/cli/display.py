@@ -244,7 +244,7 @@ def run_tables(result: Result) -> list[Table]:
 
 
 def _outages(row: dict[str, Any]) -> str:
-    """How long its track was out of a target's bin; nothing if it never was, or nobody knows."""
+    """How long its track was out of a target's bin; nothing if it never was, or if that is unknown."""
     if not row["outage"]:
         return ""
     return f", out of its bin for {row['outage']} dwells, {row['outage_longest']} in a row"
@@ -282,24 +282,50 @@ def run_caption(result: Result) -> str:
     if result.false_tracks and not result.is_unknown:
         lines.append(
             f"false tracks: {result.false_tracks}; begun more than 1.5 angle bins from every target, by false alarms;"
-            " nobody tracks the targets that they were meant for"
+            " the targets in their place have no track"
         )
     if pacing_at(run["rate_hz"]).has_deadlines:
         lines.append(_real_time(result))
-    return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest'] or NO_DIGEST}"])
+    return "\n".join([*lines, *conflict_warning(run["conflicts"])])
 
 
-def next_steps(program: str, result: Result, store: str | None, endpoint: str | None, url: str | None = None) -> str:
-    """What to type next, ready to be pasted: about a store, or services at an endpoint, and HTTP if it is there."""
-    if store is None and endpoint is None:
-        return "nothing was kept; with --store FILE the run can be asked and drawn afterwards"
+def run_digest(result: Result) -> str:
+    """The line that others can compare."""
+    return f"digest {result.run['digest'] or NO_DIGEST}"
+
+
+def outcome(result: Result) -> str:
+    """What happened, in a sentence or two: which targets kept their tracks, and how well they were seen."""
+    scored = [row for row in result.targets if row["n"] and row["p_d"] is not None]
+    if not scored:
+        return f"{result.run['t']} dwells were played" + ("; no target was tracked." if result.has_truth else ".")
+    lost = [str(row["target"]) for row in scored if row["lost"]]
+    n, verb = len(scored), "was" if len(lost) == 1 else "were"
+    held = "The only target was" if n == 1 else f"All {n} targets were"
+    what = f"{len(lost)} of {n} targets {verb} lost: {', '.join(lost)}." if lost else f"{held} tracked to the end."
+    p_d = sorted(row["p_d"] for row in scored)
+    errors = sorted(row["position_rmse_km"] for row in scored if row["position_rmse_km"] is not None)
+    how = f"P_D {_span(p_d)}"
+    return f"{what} {how}, position RMSE {_span(errors)} km." if errors else f"{what} {how}."
+
+
+def _span(values: Sequence[float]) -> str:
+    ends = [f"{values[0]:.3f}", f"{values[-1]:.3f}"]
+    return ends[0] if ends[0] == ends[1] else " to ".join(ends)
+
+
+def next_step(program: str, result: Result, store: str | None, endpoint: str | None, url: str | None = None) -> str:
+    """What to type next, ready to be pasted: about a store, or services at an endpoint, or HTTP if it is there."""
     run = result.run["run"]
-    where = f"--store {quote(store)}" if store else f"--connect {endpoint}"
-    lines = [f"{program} query tracks --run {run} {where}"]
-    lines += [f"{program} figures {quote(store)} --out figures"] if store and result.has_truth else []
-    lines += [f"{program} export {run} {where} --out {run}.csv", f"{program} replay {run} {where} --to planner"]
-    lines += [f"curl {url}/api/v1/runs/{run}/summary"] if url is not None else []
-    return "\n".join(["next:", *(f"  {line}" for line in lines)])
+    if store is not None and result.has_truth:
+        return f"next: {program} figures {quote(store)} --out figures"
+    if store is not None:
+        return f"next: {program} query tracks --run {run} --store {quote(store)}"
+    if url is not None:
+        return f"next: curl {url}/api/v1/runs/{run}/summary"
+    if endpoint is not None:
+        return f"next: {program} query tracks --run {run} --connect {endpoint}"
+    return "next: nothing was kept; the same with --store FILE can be asked and drawn afterwards"
 
 
 def _real_time(result: Result) -> str:

@@ -53,7 +53,8 @@ if TYPE_CHECKING:
 
 
 ChaosOption = Annotated[
-    float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
+    float | None,
+    typer.Option(min=0.001, max=MAX_KILLS, metavar="PER_MINUTE", help="Kill a process so many times a minute."),
 ]
 DetachOption = Annotated[
     bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
@@ -92,7 +93,7 @@ def run(
     _plugins: PluginsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
+    """Play one run and print its results, on this machine or on running services."""
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
         loaded, ignores_world = _loaded(scenario, with_rule(settings, rule), may_know=in_process), False
@@ -154,16 +155,18 @@ def _loaded(scenario: str, settings: list[str], *, may_know: bool) -> Scenario:
 def _show(
     result: Result, *, store: str | None, as_json: bool, endpoint: str | None = None, url: str | None = None
 ) -> None:
-    """Print a result, and what to type next: to services at an endpoint while they are up, and to HTTP at a URL."""
-    from cogradar.services.cli.display import next_steps, run_caption, run_tables
+    """Print a result: what happened, the table, what to type next, the digest."""
+    from cogradar.services.cli.display import next_step, outcome, run_caption, run_digest, run_tables
     from cogradar.services.cli.terminal import print_tables
 
     if as_json:
         print_json(result.as_json())
     else:
+        say(outcome(result))
         print_tables(out, run_tables(result))
         say(run_caption(result))
-        say(next_steps(program(), result, store, endpoint, url))
+        say(next_step(program(), result, store, endpoint, url))
+        say(run_digest(result))
 
 
 def _remarks(*, turns: int, ignores_world: bool, endless: str | None) -> list[str]:
@@ -281,7 +284,7 @@ def cancel(
     connect: ConnectOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
 ) -> None:
-    """End a run on services that are up before its time; its results so far stay in the store."""
+    """End a run on running services before its time; its results so far stay in the store."""
     from cogradar.services.runs import cancel as cancelling
 
     with command(at_once=True, zenoh_config=zenoh_config):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from scipy.io import loadmat
 from typer.main import get_command
 
 from cogradar.services.cli.app import app
+from cogradar.services.cli.manual.examples import COMMANDS
 from cogradar.services.web.openapi import describe
 from tests.docs.documents import PAGES, REPOSITORY, blocks, commands, said
 
@@ -70,6 +72,21 @@ def test_the_check_finds_what_is_wrong() -> None:
     ):
         with pytest.raises(Exception):  # noqa: B017, PT011 - of many kinds
             _understood(wrong)
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_example_of_the_help_is_understood(name: str) -> None:
+    for example in COMMANDS[name].examples:
+        words = shlex.split(example)
+        assert words[0] == name
+        assert len(f"cogradar {example}") < 80
+        _understood(["cogradar", *words])
+
+
+def test_every_command_has_a_panel_and_an_example() -> None:
+    assert COMMANDS.keys() == GROUP.commands.keys()
+    assert all(shown.examples for shown in COMMANDS.values())
+    assert len({shown.panel for shown in COMMANDS.values()}) == 5
 
 
 def test_commands_are_in_shell_blocks() -> None:

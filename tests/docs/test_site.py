@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.cli.app import app
+from cogradar.services.cli.manual.examples import COMMANDS
 from cogradar.shared.protocol.topics import TOPICS
 from cogradar.shared.wire.exposition import METRICS
 from docs.generator.sphinx_extension import PARTS, as_markdown, generated
@@ -91,7 +92,7 @@ def test_the_reference_has_what_the_program_has() -> None:
     messages, metrics, commands = (PARTS[name]() for name in ("messages", "metrics", "commands"))
     assert all(f"### {topic.message.__name__}\n" in messages for topic in TOPICS)
     assert all(f"`cogradar_{name}" in metrics for name in METRICS)
-    names = [command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands]
+    names = [*COMMANDS, *(command.name for command in app.registered_commands)]
     assert all(f"### cogradar {name}\n" in commands for name in names)
     keys = PARTS["scenario keys"]()
     assert "| `p_fa` | number | 1e-09 to 0.1 |" in keys

@@ -20,7 +20,7 @@ def new(
     file: Annotated[Path, typer.Argument(help="The file to write, NAME.py.")],
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
-    """Write a file to begin with, for a thing of your own; it runs as it is."""
+    """Write a first version of a plug-in; it runs as it is."""
     from cogradar.services.plugins import templates
 
     with command(at_once=True):

@@ -9,7 +9,15 @@ import pytest
 from rich.console import Console
 
 from cogradar.services.campaigns.campaign import Tally
-from cogradar.services.cli.display import RunDisplay, campaign_caption, next_steps, run_caption, run_tables
+from cogradar.services.cli.display import (
+    RunDisplay,
+    campaign_caption,
+    next_step,
+    outcome,
+    run_caption,
+    run_digest,
+    run_tables,
+)
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.core import RecorderCore
@@ -137,7 +145,7 @@ def test_messages_that_differed_are_a_warning(conflicts: int, finished: Result) 
 def test_the_caption_says_what_the_intervals_mean(finished: Result) -> None:
     caption = run_caption(finished)
     assert all(words in caption for words in ("Wilson", "one run", "independent", "campaign"))
-    assert finished.run["digest"] in caption
+    assert run_digest(finished) == f"digest {finished.run['digest']}"
 
 
 def test_nothing_moves_in_a_pipe() -> None:
@@ -189,14 +197,26 @@ def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None
 
 def test_what_to_type_next_can_be_pasted(finished: Result) -> None:
     result = replace(finished, run=finished.run | {"run": "smoke-1"})
-    assert "--store FILE" in next_steps("cogradar", result, None, None)
-    kept = next_steps("./cogradar", result, "a b.db", None).splitlines()
-    assert kept[0] == "next:"
-    assert {shlex.split(line)[1] for line in kept[1:]} == {"query", "figures", "export", "replay"}
-    assert all("a b.db" in shlex.split(line) for line in kept[1:])
+    assert "--store FILE" in next_step("cogradar", result, None, None)
+    head, *typed = shlex.split(next_step("./cogradar", result, "a b.db", None))
+    assert (head, typed) == ("next:", ["./cogradar", "figures", "a b.db", "--out", "figures"])
     blind = replace(result, picture={}, targets=[row | {"p_d": None} for row in result.targets])
-    assert "figures" not in next_steps("./cogradar", blind, "a b.db", None)  # they compare with the truth
-    asked, *others = next_steps("cogradar", result, None, "tcp/a:1", "http://a:80").splitlines()[1:]
-    assert [line.split()[1] for line in others] == ["export", "replay", "http://a:80/api/v1/runs/smoke-1/summary"]
-    assert all("--connect tcp/a:1" in line for line in others[:2])
-    assert asked.strip() == "cogradar query tracks --run smoke-1 --connect tcp/a:1"
+    asked = shlex.split(next_step("./cogradar", blind, "a b.db", None))  # figures compare with the truth
+    assert asked[1:] == ["./cogradar", "query", "tracks", "--run", "smoke-1", "--store", "a b.db"]
+    assert next_step("cogradar", result, None, "tcp/a:1").endswith("query tracks --run smoke-1 --connect tcp/a:1")
+    assert next_step("cogradar", result, None, "tcp/a:1", "http://a:80").endswith(
+        "http://a:80/api/v1/runs/smoke-1/summary"
+    )
+
+
+def test_a_run_says_what_happened_first(finished: Result) -> None:
+    first, second = finished.targets
+    errors = sorted(row["position_rmse_km"] for row in finished.targets)
+    assert outcome(finished).startswith("All 2 targets were tracked to the end. P_D ")
+    assert f"position RMSE {errors[0]:.3f} to {errors[1]:.3f} km." in outcome(finished)
+    lost = replace(finished, targets=[first, second | {"lost": True}])
+    assert outcome(lost).startswith("1 of 2 targets was lost: 2. P_D ")
+    alone = replace(finished, targets=[first])
+    assert outcome(alone).startswith(f"The only target was tracked to the end. P_D {first['p_d']:.3f}, ")
+    blind = replace(finished, picture={}, targets=[row | {"p_d": None} for row in finished.targets])
+    assert outcome(blind) == f"{finished.run['t']} dwells were played."

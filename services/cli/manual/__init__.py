@@ -1,0 +1,1 @@
+"""What `--help` says beyond a command's options: panels and examples."""

@@ -1,0 +1,67 @@
+"""Commands that are not told a store take the newest one of build/, and say so."""
+
+import os
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cogradar.services.cli import answers, console
+from cogradar.services.cli.app import app
+from cogradar.services.errors import NoMetrics
+from cogradar.services.metrics import client
+
+
+@pytest.fixture
+def build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with an older and a newer store, neither of which is one."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "build"
+    folder.mkdir()
+    for age_s, name in enumerate(("new.db", "old.db", "newest.txt")):
+        (folder / name).touch()
+        os.utime(folder / name, (1e9 - age_s, 1e9 - age_s))
+    return folder
+
+
+def test_the_newest_store_is_the_one_written_last(build: Path) -> None:
+    assert console.newest_store() == "build/new.db"
+    for path in build.glob("*.db"):
+        path.unlink()
+    assert console.newest_store() is None
+
+
+@pytest.mark.parametrize("command", ["report", "figures"])
+def test_report_and_figures_say_which_store_they_take(build: Path, command: str) -> None:
+    done = CliRunner().invoke(app, [command])
+    assert "build/new.db: the newest store in build/" in done.stderr
+    assert done.exit_code == 2  # it is none
+    for path in build.glob("*.db"):
+        path.unlink()
+    assert "no STORE, and no *.db in build/: name one" in CliRunner().invoke(app, [command]).stderr
+
+
+def test_query_asks_the_newest_store_only_if_no_service_answers(build: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert build.is_dir()
+    asked: list[object] = []
+
+    def ask(*given: object) -> None:
+        asked.append(given[0])
+        raise NoMetrics("no metrics service")
+
+    monkeypatch.setattr(client, "ask_service", ask)
+    monkeypatch.setattr(client, "answer", lambda *given: [{"metric": given[1]}])
+    monkeypatch.setattr(client, "Journal", lambda path, **_: path)
+    monkeypatch.setattr(client, "Store", _Opened)
+    assert answers._answers(None, console.DEFAULT_ENDPOINT, "runs", {}) == [{"metric": "runs"}]
+    with pytest.raises(NoMetrics):
+        answers._answers(None, "tcp/elsewhere:1", "runs", {})
+    assert asked == [console.DEFAULT_ENDPOINT, "tcp/elsewhere:1"]
+
+
+class _Opened:
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def close(self) -> None:
+        """Nothing is open."""
