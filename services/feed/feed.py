@@ -107,7 +107,14 @@ def guarded(made: Any, call: Caller) -> Kind:
         raise PluginRefused(f"{call.short}: a feed needs the method encode, which it has not")
     flags = {"has_files": False, "is_stream": True, "is_dialogue": False}
     given = {name: bool(getattr(made, name, default)) for name, default in flags.items()}
-    return Kind(lambda _: _Guarded(call(made) if isinstance(made, type) else made, call), **given)
+
+    def make(_options: Options) -> Format:
+        try:
+            return _Guarded(call(made) if isinstance(made, type) else made, call)
+        except PluginFailed as error:
+            raise RunFailed(str(error)) from error
+
+    return Kind(make, **given)
 
 
 def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_hz: float) -> int:

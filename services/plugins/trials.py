@@ -214,8 +214,8 @@ def _feed() -> Trial:
     pictures, _ = pictures_of(20, 3)
 
     def call(kind: feed.Kind, shown: Sequence[Picture]) -> Any:
-        form = kind.make(feed.Options())
         try:
+            form = kind.make(feed.Options())
             return [form.greeting(), *(form.encode(picture) for picture in shown)]
         except RunFailed as error:
             raise PluginFailed(str(error)) from error

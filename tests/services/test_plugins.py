@@ -176,6 +176,8 @@ def test_a_strategy_that_fails_fails_its_run(folder: Path, body: str, said: str)
         ("begin", "return 1 / 0", "bad.py, line 8: ZeroDivisionError"),
         ("begin", "return states[0]", "bad.py:B returned float64 of shape (4,) of begin: must be (n, m) numbers"),
         ("begin", "return np.zeros((1, 200_001))", "at most 200000 numbers, 50000 on an axis"),
+        ("predict", "return [[1.0], [1.0, 2.0]]", "bad.py:B returned no array of predict: "),
+        ("update", "return belief, 1j", "returned evidence 1j of update: must be a finite number from 0"),
         ("predict", "return belief + float('nan')", "numbers of predict that are not finite, or beyond 1e+09"),
         ("predict", "return 2e9 * belief", "numbers of predict that are not finite, or beyond 1e+09"),
         ("update", "return belief", "returned ndarray of update: must be (belief, evidence)"),

@@ -124,7 +124,8 @@ def normal_states(mean: Floats, covariance: Floats, n: int = MIXTURE_STATES) -> 
 
     States behind the array, x < 0, are put at its edge. Raises ValueError if the covariance is not positive definite.
     """
-    lower = cholesky(np.asarray(covariance, dtype=np.float64))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lower = cholesky(np.asarray(covariance, dtype=np.float64))
     if not np.isfinite(lower).all():
         raise ValueError("normal_states: the covariance must be positive definite")
     states = np.asarray(mean + product(normal_points(n), lower.T))
@@ -154,7 +155,7 @@ class Guarded:
         if not (isinstance(answer, tuple) and len(answer) == 2):
             raise self._call.failed(f"returned {type(answer).__name__} of update: must be (belief, evidence)")
         rows, evidence = answer
-        if not isinstance(evidence, int | float | np.number) or not 0.0 <= evidence < np.inf:
+        if not isinstance(evidence, int | float | np.integer | np.floating) or not 0.0 <= evidence < np.inf:
             raise self._call.failed(f"returned evidence {evidence!r} of update: must be a finite number from 0")
         return self._numbers("update", rows), float(evidence)
 
@@ -168,7 +169,10 @@ class Guarded:
         return found
 
     def _numbers(self, method: str, answer: Any) -> Floats:
-        given = np.asarray(answer)
+        try:
+            given = np.asarray(answer)
+        except ValueError as error:  # rows of different lengths
+            raise self._call.failed(f"returned no array of {method}: {error}") from error
         if given.ndim != 2 or 0 in given.shape or given.dtype.kind not in "iuf":
             raise self._call.failed(
                 f"returned {given.dtype} of shape {given.shape} of {method}: must be (n, m) numbers"

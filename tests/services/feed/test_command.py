@@ -71,6 +71,7 @@ def test_a_format_of_ones_own_is_a_file(file: str, tmp_path: Path, monkeypatch: 
     for line, instead, code, said in (
         ("return [", "return 1 / 0 and [", 1, "wrong.py:Lines: "),
         ("return [", "return b'' and [", 1, "wrong.py:Lines returned b'': encode must return Outputs of bytes"),
+        ("    def encode", "    def __init__(self):\n        1 / 0\n\n    def encode", 1, "ZeroDivisionError"),
         ("def encode", "def decode", 2, "a feed needs the method encode, which it has not"),
         ("class Lines(Format):", "class Lines(Format):\n    has_files = True\n", 2, "this format is files"),
     ):
