@@ -60,6 +60,24 @@ PROOFS = (
         "cogradar chaos traffic --pace realtime --rate 4 --runs 2 --dwells 500 --kills 24",
     ),
     Proof(
+        "kills-of-one-planner",
+        "So it is with one planner.",
+        "640 dwells at 4 a second, 14 kills a minute",
+        "cogradar chaos traffic --pace realtime --rate 4 --runs 1 --dwells 640 --kills 14 --planners 1",
+    ),
+    Proof(
+        "kills-of-two-planners",
+        "So it is with two planners.",
+        "480 dwells at 4 a second, 16 kills a minute",
+        "cogradar chaos traffic --pace realtime --rate 4 --runs 1 --dwells 480 --kills 16 --planners 2",
+    ),
+    Proof(
+        "kills-of-three-planners",
+        "So it is with three planners.",
+        "480 dwells at 4 a second, 16 kills a minute",
+        "cogradar chaos traffic --pace realtime --rate 4 --runs 1 --dwells 480 --kills 16 --planners 3",
+    ),
+    Proof(
         "faults",
         "Disks, links, processes and clocks may fail together, at any moment.",
         "100 000 schedules of one to eight faults",

@@ -1,8 +1,9 @@
 """A stored run fed into one core: does it answer today as it was recorded, bit for bit?
 
-Cores get the clock of lockstep, whatever the run had. Of a run in real time this leaves out what depended on the clock:
-searches that a deadline cut short (of their plans, the bin and the number of simulations), waveforms of dwells without
-all plans in time, those after a scan of an older roster, and everything after a dwell whose scan is missing.
+A planner takes up tracks as in the run, with a clock that stands still: no search is cut short. The allocator gets the
+clock of lockstep. Of a run in real time this leaves out what depended on the clock: searches that a deadline cut short
+(of their plans, the bin and the number of simulations), waveforms of dwells without all plans in time, those after a
+scan of an older roster, and everything after a dwell whose scan is missing.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
 from cogradar.shared.protocol.orders import DropTrack, Order, in_force, of_tracks
 from cogradar.shared.protocol.roster import Roster
@@ -32,7 +34,7 @@ OF_THE_CLOCK = {"bins", "nus", "chances", "gain", "n_sim"}  # fields of a plan t
 
 # What each core is fed, and what it answers. Of a known number of tracks the allocator leaves the scans alone.
 CORES: dict[str, tuple[Callable[[], Core], tuple[type[Scan | Plan], ...], type[Plan | Waveform]]] = {
-    "planner": (lambda: PlannerCore("replay"), (Scan,), Plan),
+    "planner": (lambda: PlannerCore("replay", lambda: 0.0), (Scan,), Plan),
     "allocator": (AllocatorCore, (Plan, Scan), Waveform),
 }
 
@@ -78,7 +80,8 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         raise BadInput(f"{stored.name}: its first {first} dwells were cut, and a planner needs all scans of a run")
     core, by_clock = make(), pacing_at(stored.start.rate_hz).loses_dwells
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
-    core.handle(_checkpoint(stored, first, 0))
+    rate_hz = stored.start.rate_hz if by_clock and to == "planner" else 0.0
+    core.handle(_checkpoint(stored, first, 0, rate_hz=rate_hz))
     outcome, t = Replay(0), 0
     given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
     before: Sequence[Message] = ()  # recorded answers of the dwell before
@@ -95,6 +98,8 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             told = obeyed
             core.handle(_checkpoint(stored, *acknowledged, told))
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
+        if rate_hz:  # what is rebuilt between two dwells
+            answers += [answer for answer in core.handle(Tick(k / rate_hz)) if isinstance(answer, compared)]
         recorded = [message for message in messages if isinstance(message, compared)]
         # In real time the allocator goes on from the roster that it sent last, where a scan has an older one.
         is_stale = by_clock and to == "allocator" and k > first and _rosters(inputs) != _rosters(before)
@@ -105,7 +110,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             return outcome
         if (k + 1) % ACKNOWLEDGE_EVERY == 0:
             acknowledged = k + 1, t
-            core.handle(_checkpoint(stored, *acknowledged, told))
+            core.handle(_checkpoint(stored, *acknowledged, told, rate_hz=rate_hz))
     is_empty = stored.scenario.radar.is_unknown and t > 0  # nothing was found: there was nothing to plan
     if not outcome.agreed and not outcome.late and not is_empty:
         raise BadInput(
@@ -162,7 +167,7 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
     ]
 
 
-def _checkpoint(stored: StoredRun, k: int, t: int, orders: Sequence[Order] = ()) -> Checkpoint:
+def _checkpoint(stored: StoredRun, k: int, t: int, orders: Sequence[Order] = (), rate_hz: float = 0.0) -> Checkpoint:
     """What the recorder tells a core, in lockstep."""
     start = stored.start
     return Checkpoint(
@@ -174,6 +179,7 @@ def _checkpoint(stored: StoredRun, k: int, t: int, orders: Sequence[Order] = ())
         k=k,
         t=t,
         orders=list(orders),
+        rate_hz=rate_hz,
     )
 
 

@@ -3,13 +3,18 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cogradar.services.analysis.replay import replay
+from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.delivery.pacing import COASTED_S
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store
 from cogradar.services.planner.owned_track import OwnedTrack
 from cogradar.services.recorder.overdue import MISSED, WITHIN_S
 from cogradar.services.simulation.cluster import Cluster
@@ -219,6 +224,14 @@ def test_looks_that_are_repeated_while_no_allocator_answers_end_no_track(
     assert not cluster.ended(confirmed)
     assert confirmed <= cluster.confirmed(until_s)
     assert cluster.rosters[-1][0] > until_s - 1.0
+
+
+def test_plans_of_a_run_whose_waveforms_came_late_are_replayed(disk: Disk) -> None:
+    """Tracks begin in a scan that is not the next one after their birth."""
+    _played(disk, RATE_HZ, lambda cluster: _slow_down(cluster, "allocator-0", 5.0))
+    outcome = replay(StoredRun(partial(answer, Store(disk.journal))), "planner")
+    assert (outcome.difference, outcome.gap) == (None, None)
+    assert outcome.agreed > 100
 
 
 def test_allocators_that_come_and_go_give_each_new_track_the_next_number(disk: Disk) -> None:
