@@ -55,7 +55,7 @@ class Which(TypedDict, total=False):
 class Runs:
     """Runs of a store or of a metrics service, and what can be asked about them; rows as `cogradar query --json` has.
 
-    A question that makes no sense raises BadInput; NoMetrics if nobody answers. A store is closed by `close`, or at the
+    A question that makes no sense raises BadInput, a missing service NoMetrics. A store is closed by `close`, or at the
     end of a `with`.
     """
 

@@ -4,7 +4,7 @@
 
     for time, tracks in MultiTargetTracker(..., detector=DwellDetectionReader(cogradar.play("traffic"))): ...
 
-Dwells are those of `cogradar.play`, which is played as far as the tracker asks for, or of `Result.dwells()`. States are
+Dwells are as in `cogradar.play`, which is played as far as the tracker asks for, or as in `Result.dwells()`. States are
 [x, vx, y, vy], km and km/s, with x along boresight. Needs Stone Soup: pip install 'cogradar[stonesoup]'.
 """
 

@@ -52,7 +52,7 @@ class Deposed(Failure):
 
 
 class NoMetrics(Failure):
-    """Nobody answers questions; the text says where it was asked."""
+    """No service answers questions; the text says where it was asked."""
 
     exit_code = 3
 

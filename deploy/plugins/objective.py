@@ -8,7 +8,7 @@ from cogradar.plugins import Emission, RadarConfig, Requests, beam_factor
 def equal_echoes(radar: RadarConfig, requests: Requests) -> Emission:
     """A beam for the first cell of each track, of a power that makes all echoes alike: as R^4.
 
-    Arguments and answer are those of a strategy; this is what "power-aware" does with the power.
+    Arguments and answer are as for a strategy; this is what "power-aware" does with the power.
     """
     free = np.where(requests.fixed > 0.0, 0.0, 1.0 / requests.weights)
     left = max(radar.array.power - float(requests.fixed.sum()), 0.0)

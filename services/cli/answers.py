@@ -200,7 +200,7 @@ def export(
 
     Columns are called as in `query`: x and y are in km, vx and vy in km/s,
     others have their units in their names. Angles are from boresight, nu is
-    0.5 sin(angle). Those of the estimate have "hat" in their names, those
+    0.5 sin(angle). Estimates have "hat" in their names, those
     without are the target's. In Python the same is numpy.load, pandas.read_csv
     or read_parquet, xarray.open_dataset; in MATLAB and Octave it is load. An
     mcap file opens in Foxglove and Lichtblick, an rrd file in rerun.
@@ -377,7 +377,7 @@ def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def rows_table(rows: Rows, order: Sequence[str] = (), *, wide: bool = False) -> Table:
-    """Any answer of metrics as a table; headings are the keys that JSON has, those of `order` come first."""
+    """Any answer of metrics as a table; headings are the keys that JSON has, the ones of `order` first."""
     columns, hidden = [], () if wide or not order else NOTES
     for key in sorted(rows[0], key=lambda key: order.index(key) if key in order else len(order)) if rows else ():
         if key in hidden:

@@ -99,7 +99,7 @@ def service(
         str | None,
         typer.Option(
             help="Unique name of this process; made up if left out. Of a planner, [NAME]@FIRST-LAST: it plans for some"
-            " of 16 slots of tracks only; left out, for those of its certificate."
+            " of 16 slots of tracks only; left out, for the slots of its certificate."
         ),
     ] = None,
     store: Annotated[

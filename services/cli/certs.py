@@ -1,4 +1,4 @@
-"""The command about certificates: an authority of one's own, and who may be part of the system."""
+"""The command about certificates: an authority of one's own, and the clients that may be part of the system."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -42,8 +42,8 @@ def certs(
     `init` makes the authority: ca.key, which signs, belongs on no machine of
     the system. `issue` writes FOLDER/ROLE.NAME/zenoh.json5, which is all that
     a process needs (--zenoh-config), and adds the name to FOLDER/allowed, the
-    router's list (--allow). ROLE is a role of the system, or observer, who
-    reads and asks and sends nothing, or frontend, who answers the emulator.
+    router's list (--allow). ROLE is a role of the system, or observer, which
+    reads and asks and sends nothing, or frontend, which answers the emulator.
     """
     from cogradar.services.certs import authority
 

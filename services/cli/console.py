@@ -93,7 +93,7 @@ def number_of_dwells(text: str) -> int:
 
 
 def with_rule(settings: list[str] | None, rule: str | None) -> list[str]:
-    """The settings of `--set`, and after them that of `--rule`."""
+    """The settings of `--set`, and after them the one of `--rule`."""
     return [*(settings or ()), *([f"radar.planner.rule={rule}"] if rule else ())]
 
 

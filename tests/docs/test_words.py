@@ -35,8 +35,8 @@ ROOTS = ("cogradar", "services", "shared", "studies", "docs", "deploy")
 
 # What is left. Lower a number when you lower the count.
 LIMITS = {
-    "pages": {"long sentences": 109, "who, whoever": 32, "nobody": 20, "that of, those of": 10},
-    "program": {"long sentences": 280, "who, whoever": 120, "nobody": 86, "that of, those of": 141},
+    "pages": {"long sentences": 107, "who, whoever": 1, "nobody": 2, "that of, those of": 1},
+    "program": {"long sentences": 278, "who, whoever": 116, "nobody": 82, "that of, those of": 134},
 }
 
 
