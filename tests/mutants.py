@@ -15,11 +15,14 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 from cogradar.services.analysis.pages import write_into
+from cogradar.shared.protocol.build import build
 
 SCHEDULES = 2000
+AT_ONCE = 500  # schedules between two times at which what was played is kept
 REMEMBERED = 30_000  # results
 SAID = 150  # characters of what is violated
 FIRST = 1_000_000_000  # seed: none that is played elsewhere
@@ -275,26 +278,51 @@ def _plant(mutant: Mutant) -> None:
     importlib.machinery.SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
 
 
-def play(mutant: Mutant | None, schedules: int) -> tuple[int, str]:
-    """The number of the first schedule that is violated, and what is; 0 if none is."""
+def play(mutant: Mutant | None, schedules: int, after: int = 0) -> tuple[int, str]:
+    """The number of the first schedule behind `after` that is violated, and what is; 0 if none is."""
     if mutant is not None:
         _plant(mutant)
     simulation = "cogradar.services.simulation."
     memory, schedule, simulator = (import_module(simulation + name) for name in ("memory", "schedule", "simulator"))
     with memory.remembering(REMEMBERED):
-        for n in range(schedules):
+        for n in range(after, schedules):
             if violation := simulator.play(schedule.Schedule.draw(FIRST + n)).violation:
                 return n + 1, str(violation)
     return 0, ""
 
 
-def _in_a_process(mutant: Mutant, schedules: int) -> tuple[int, str]:
-    command = [sys.executable, "-m", "tests.mutants", "--play", mutant.name, "--schedules", str(schedules)]
+def _in_a_process(mutant: Mutant, schedules: int, after: int) -> tuple[int, str]:
+    command = [sys.executable, "-m", "tests.mutants", "--play", mutant.name]
+    command += ["--schedules", str(schedules), "--after", str(after)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{mutant.name}: {done.stderr}")
     found, violation = json.loads(done.stdout.splitlines()[-1])
     return found, violation
+
+
+class Known:
+    """What earlier calls found of mutants, in this program."""
+
+    def __init__(self, file: Path | None) -> None:
+        """`file`: None: nothing is kept."""
+        self._file, self._lock = file, Lock()
+        kept = json.loads(file.read_text(encoding="utf-8")) if file is not None and file.exists() else {}
+        self._found: dict[str, tuple[int, int, str]] = kept.get(build(), {})
+
+    def play(self, mutant: Mutant, schedules: int) -> tuple[int, str]:
+        """The first schedule that is violated, 0 if none of so many is; those that were played are not played again."""
+        key = f"{mutant.module}: {mutant.old} -> {mutant.new}"
+        played, n, violation = self._found.get(key, (0, 0, ""))
+        at_once = schedules if self._file is None else AT_ONCE
+        while not n and played < schedules:
+            n, violation = _in_a_process(mutant, min(played + at_once, schedules), played)
+            played = min(played + at_once, schedules)
+            with self._lock:
+                self._found[key] = played, n, violation
+                if self._file is not None:
+                    self._file.write_text(json.dumps({build(): self._found}, indent=1), encoding="utf-8")
+        return n, violation
 
 
 def _row(mutant: Mutant, n: int, schedules: int, violation: str) -> str:
@@ -309,15 +337,18 @@ def main() -> int:
     parser.add_argument("--schedules", type=int, default=SCHEDULES)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--into", type=Path, metavar="PAGE", help="write the table there, between <!-- planted -->")
+    parser.add_argument("--store", type=Path, metavar="FILE", help="keep there what was played, and go on from it")
     parser.add_argument("--play", metavar="NAME", help=argparse.SUPPRESS)
+    parser.add_argument("--after", type=int, default=0, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.play:
-        print(json.dumps(play(next(one for one in MUTANTS if one.name == asked.play), asked.schedules)))
+        mutant = next(one for one in MUTANTS if one.name == asked.play)
+        print(json.dumps(play(mutant, asked.schedules, asked.after)))
         return 0
     chosen = [one for one in MUTANTS if not asked.names or any(word in one.name for word in asked.names)]
-    rows, wrong, n_found = list[str](), 0, 0
+    rows, wrong, n_found, known = list[str](), 0, 0, Known(asked.store)
     with ThreadPoolExecutor(asked.workers) as pool:
-        outcomes = pool.map(lambda one: _in_a_process(one, asked.schedules), chosen)
+        outcomes = pool.map(lambda one: known.play(one, asked.schedules), chosen)
         for mutant, (n, violation) in zip(chosen, outcomes, strict=True):
             wrong += bool(n) == bool(mutant.harmless)
             n_found += bool(n)

@@ -5,13 +5,17 @@ a copy of them as the disk would have them: of a commit that was under way, any 
 recovery has to make of it what it can.
 """
 
+import hashlib
 import shutil
+import sqlite3
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cogradar.services.recorder.file.schema import failure
 from cogradar.services.recorder.journal import Journal
 
 _MEMORY = Path("/dev/shm")  # noqa: S108 - no file of a fixed name; a sync costs nothing there
@@ -38,9 +42,13 @@ class Disk:
         self.opened = 0
         self.after_commit: Callable[[], None] = lambda: None
         self._backup: Path | None = None
+        self.writes_left = 0  # until one is an I/O error; 0: none is
+        self._synced = b"", 0  # at the last sync: digest of the file, bytes of the log
+        self._is_away = False
 
     def open(self, wait: Callable[[float], None]) -> Journal:
         """The journal of a recorder that is started; `wait` lets its time pass."""
+        self.put_back()
         self.opened += 1
         self._journal = SimulatedJournal(self, wait)
         self.limit()
@@ -86,6 +94,7 @@ class Disk:
         """The recorder is gone. `torn`: in the middle of a commit, of which the log has some part."""
         if self._journal is None:
             return
+        self.put_back()
         before, old = self.path, self._journal
         self._life, self._journal = self._life + 1, None
         _copy(before, self.path)
@@ -100,12 +109,63 @@ class Disk:
     def back_up(self) -> None:
         """Keep the journal as it is now."""
         self._backup = Path(self._folder.name) / "backup.db"
-        _copy(self.path, self._backup)
+        _copy(self._where, self._backup)
 
     def restore(self) -> None:
         """Put the journal in place that was kept, while no recorder is there."""
         if self._backup is not None:
             _copy(self._backup, self.path)
+
+    def lose_syncs(self) -> None:
+        """From now on nothing is synced."""
+        log = _log(self._where)
+        self._synced = _content(self._where), log.stat().st_size if log.exists() else 0
+
+    def cut_back(self) -> None:
+        """The power was cut: of what the log got since then, any beginning is there; no recorder is.
+
+        It is as it was where the log went into the file, which is synced for itself, or was begun anew.
+        """
+        log, (before, n_byte) = _log(self.path), self._synced
+        if log.exists() and _content(self.path) == before and log.stat().st_size > n_byte:
+            with log.open("r+b") as file:
+                file.truncate(int(self._rng.integers(n_byte, log.stat().st_size + 1)))
+
+    def take_away(self) -> None:
+        """Move the files elsewhere."""
+        if self._journal is not None and not self._is_away:
+            self._move(self.path, self._away)
+            self._is_away = True
+
+    def put_back(self) -> None:
+        """Move them back, as they are by now."""
+        if self._is_away:
+            self._move(self._away, self.path)
+            self._is_away = False
+
+    @property
+    def _where(self) -> Path:
+        return self._away if self._is_away else self.path
+
+    @property
+    def _away(self) -> Path:
+        return Path(self._folder.name) / "away.db"
+
+    def _move(self, source: Path, target: Path) -> None:
+        for end in ("", "-wal", "-shm"):
+            if (file := source.with_name(source.name + end)).exists():
+                file.rename(target.with_name(target.name + end))
+
+    def count_write(self) -> bool:
+        """Whether the write that is about to happen is an I/O error."""
+        if self.writes_left == 0:
+            return False
+        self.writes_left -= 1
+        return self.writes_left == 0
+
+    def is_done(self) -> bool:
+        """Whether a commit that is an I/O error is there nevertheless."""
+        return bool(self._rng.random() < 0.5)
 
     def begin_commit(self) -> None:
         """A commit is about to write to the log."""
@@ -139,6 +199,13 @@ class SimulatedJournal(Journal):
         self._disk.after_commit()
         self._wait(self._disk.commit_s)
 
+    def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
+        if self._disk.count_write():
+            if statement == "COMMIT" and self._disk.is_done():
+                super()._execute(statement, parameters)
+            raise failure(self.path, sqlite3.OperationalError("disk I/O error"))
+        return super()._execute(statement, parameters)
+
     def lose_lock(self) -> None:
         """Let another process take the lock, without a word."""
         if self._lock is not None:
@@ -149,9 +216,14 @@ class SimulatedJournal(Journal):
 
     def discard(self) -> None:
         """Close it as it is."""
-        self._disk.cuts_power, self._wait = False, lambda _: None
+        self._disk.cuts_power, self._disk.writes_left, self._wait = False, 0, lambda _: None
         self.rollback()
         self.close()
+
+
+def _content(path: Path) -> bytes:
+    """Digest of a file."""
+    return hashlib.blake2b(path.read_bytes()).digest() if path.exists() else b""
 
 
 def _log(path: Path) -> Path:

@@ -64,12 +64,19 @@ class Kind(StrEnum):
     RECEIVER = "receiver"  # the front end raises, or in real time also measures nonsense or nothing
     SUCCESSOR = "successor"  # the recorder is frozen after a commit, and goes on beside one that was started meanwhile
     RESTORED = "restored"  # the recorder comes back with the journal as it was when this fault began
+    BROKEN = "broken"  # the n-th of the journal's next writes is an I/O error; a commit that is one may be there
+    UNSYNCED = "unsynced"  # the disk keeps no sync, and then the power is cut: some last transactions are lost
+    REMOVED = "removed"  # the journal's files are elsewhere for a while
+    GONE = "gone"  # a planner ends and never comes back
 
 
 LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT})
-DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR})
+RARE = (Kind.BROKEN, Kind.UNSYNCED, Kind.REMOVED, Kind.GONE)  # drawn apart, one in RARE_SHARE of the schedules
+RARE_SHARE = 0.15
+DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
-_OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.TWIN})  # in real time nothing can be played again, by nobody twice
+# In real time nothing can be played again, by nobody twice.
+_OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN})
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {
     Kind.LOSS: (0.02, 0.7),
@@ -80,6 +87,7 @@ _AMOUNTS = {
     Kind.JUMP: (0.01, 3.0),
     Kind.SLOW: (0.001, 1.0),
     Kind.RECEIVER: (1.0, 4.0),  # which of the three
+    Kind.BROKEN: (1.0, 100.0),  # n
 }
 
 
@@ -154,7 +162,7 @@ class Schedule:
             faults=(),
             dwells=LONG_DWELLS if is_long else DWELLS,
         )
-        faulty = replace(made, faults=made._faults(rng))
+        faulty = replace(made, faults=(*made._faults(rng), *made._rare()))
         is_commanded = not rate_hz and rng.random() < COMMANDED
         return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
 
@@ -191,10 +199,19 @@ class Schedule:
         )
 
     def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
-        possible = sorted(set(Kind) - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
+        possible = sorted(set(Kind) - set(RARE) - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
+
+    def _rare(self) -> tuple[Fault, ...]:
+        """One of the rare faults, or none."""
+        rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 2)
+        possible = [kind for kind in RARE if not (self.pacing.has_deadlines and kind in _OF_LOCKSTEP)]
+        if self.planners == 1:
+            possible.remove(Kind.GONE)
+        is_drawn = rng.random() < RARE_SHARE
+        return (self._fault(possible[rng.integers(len(possible))], MOST_FAULTS, rng),) if is_drawn else ()
 
     def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
@@ -231,6 +248,8 @@ class Schedule:
             who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
         if kind is Kind.SUCCESSOR:
             length_s += LEASE_S  # else it has none
+        elif kind is Kind.GONE:
+            who, length_s = f"planner-{1 + rng.integers(self.planners - 1)}", math.inf
         is_one_of_many = who.startswith("planner") and who != "planner-0"
         if kind in {Kind.HANG, Kind.FREEZE} and is_one_of_many and rng.random() < _FOREVER:
             length_s = math.inf

@@ -35,6 +35,7 @@ WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real ti
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
 DISK, RECORDER = 2, "recorder-0"  # the disk's place among the generators of a schedule
+_SWITCHED = {Kind.FULL, Kind.SLOW, Kind.RECEIVER, Kind.SUCCESSOR, Kind.BROKEN, Kind.REMOVED}  # on, and off again
 Fingerprints = dict[str, tuple[object, ...]]
 
 
@@ -185,7 +186,7 @@ class Simulator:
             return
         process = cluster.processes.get(fault.who)
         match fault.kind:
-            case Kind.CRASH | Kind.LEAVE:
+            case Kind.CRASH | Kind.LEAVE | Kind.GONE:
                 self._down[fault.who].add(fault)
                 cluster.kill(fault.who)
             case Kind.POWER:
@@ -202,10 +203,10 @@ class Simulator:
                 process.clock.set(cluster.now_s, pace=fault.amount)
             case Kind.JUMP if process is not None:
                 process.clock.set(cluster.now_s, pace=process.clock.pace, ahead_s=fault.amount)
-            case Kind.FULL | Kind.SLOW | Kind.RECEIVER | Kind.SUCCESSOR:
+            case _ if fault.kind in _SWITCHED:
                 self._set(fault, is_there=True)
-            case Kind.RESTORED:
-                self._disk.back_up()
+            case Kind.RESTORED | Kind.UNSYNCED:
+                (self._disk.back_up if fault.kind is Kind.RESTORED else self._disk.lose_syncs)()
             case _:
                 pass
 
@@ -233,12 +234,12 @@ class Simulator:
                 cluster.kill(_twin(fault))
             case Kind.DRIFT if process is not None:
                 process.clock.set(cluster.now_s, pace=1.0)
-            case Kind.FULL | Kind.SLOW | Kind.RECEIVER | Kind.SUCCESSOR:
+            case _ if fault.kind in _SWITCHED:
                 self._set(fault, is_there=False)
-            case Kind.RESTORED:
+            case Kind.RESTORED | Kind.UNSYNCED:
                 cluster.told.is_restored = True
                 cluster.kill(fault.who)
-                self._disk.restore()
+                (self._disk.restore if fault.kind is Kind.RESTORED else self._disk.cut_back)()
                 self._start(fault.who)
                 cluster.ask(self._starts, self._commands)  # who restores a journal begins the runs that it lacks
             case _:
@@ -273,7 +274,11 @@ class Simulator:
 
     def _set(self, fault: Fault, *, is_there: bool) -> None:
         amounts = self._cluster.receiver_faults.amounts
-        if fault.kind is Kind.RECEIVER:
+        if fault.kind is Kind.BROKEN:
+            self._disk.writes_left = int(fault.amount) if is_there else 0
+        elif fault.kind is Kind.REMOVED:
+            (self._disk.take_away if is_there else self._disk.put_back)()
+        elif fault.kind is Kind.RECEIVER:
             (amounts.append if is_there else amounts.remove)(fault.amount)
         elif fault.kind is Kind.SLOW:
             self._disk.commit_s = fault.amount if is_there else 0.0

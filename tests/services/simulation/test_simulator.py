@@ -1,5 +1,6 @@
 """The simulator: a schedule is a function of its seed, its faults do something, and what is wrong is found."""
 
+import math
 import sys
 from dataclasses import replace
 
@@ -160,6 +161,56 @@ def test_a_full_disk_lets_the_run_wait_for_room() -> None:
     outcome = _played(Fault(Kind.FULL, 0.005, 3.0, "recorder-0"))
     assert outcome.violation == ""
     assert outcome.simulated_s >= 3.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 13])
+@pytest.mark.parametrize("is_done", [False, True])
+def test_an_error_of_the_disk_ends_the_recorder_and_changes_no_run(
+    n: int, is_done: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the commit that it was is there or not."""
+    died, ended = Cluster._died, list[str]()
+
+    def noted(self: Cluster, key: str, error: Exception) -> None:
+        ended.append(f"{key}: {error}")
+        died(self, key, error)
+
+    monkeypatch.setattr(Cluster, "_died", noted)
+    monkeypatch.setattr(Disk, "is_done", lambda _: is_done)
+    assert _played(Fault(Kind.BROKEN, 0.0, 3.0, "recorder-0", amount=n)).violation == ""
+    (text,) = ended
+    assert text.startswith("recorder-0: ")
+    assert text.endswith("disk I/O error")
+
+
+def test_transactions_that_were_never_synced_are_played_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    cut_back, lost = Disk.cut_back, list[int]()
+
+    def noted(self: Disk) -> None:
+        before = self.path.with_name(f"{self.path.name}-wal").stat().st_size
+        cut_back(self)
+        lost.append(before - self.path.with_name(f"{self.path.name}-wal").stat().st_size)
+
+    monkeypatch.setattr(Disk, "cut_back", noted)
+    for seed in range(6):
+        assert _played(Fault(Kind.UNSYNCED, 0.003, 0.02, "recorder-0"), seed=seed).violation == ""
+    assert max(lost) > 0
+
+
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_a_journal_that_is_away_lets_the_run_wait_for_it(sky: str) -> None:
+    away = Fault(Kind.REMOVED, 0.003, 3.0, "recorder-0")
+    outcome = _played(away, sky=sky)
+    assert outcome.violation == ""
+    assert outcome.simulated_s >= 3.0
+    crash = Fault(Kind.CRASH, 1.0, 2.0, "recorder-0", n=1)
+    assert _played(away, crash, sky=sky).violation == ""
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0])
+def test_planners_that_never_come_back_are_not_needed(rate_hz: float) -> None:
+    gone = [Fault(Kind.GONE, 0.002 * i, math.inf, f"planner-{i}", n=i) for i in (1, 2)]
+    assert _played(*gone, planners=3, rate_hz=rate_hz).violation == ""
 
 
 SUCCEEDED = Fault(Kind.SUCCESSOR, 0.0005, 2.5, "recorder-0")
