@@ -19,7 +19,7 @@ from cogradar.services.allocator.waveform import waveform
 from cogradar.services.emulator.cycle import scan_message, transmission
 from cogradar.services.planner.decision import decide
 from cogradar.services.simulation.front_end import simulated
-from cogradar.shared.scenario.files import parse_radar
+from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.tracking.track import observe, start
 from cogradar.shared.wire.codec import decode, encode
 
@@ -31,7 +31,9 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     decide,
     encode,
     observe,
+    parse,
     parse_radar,
+    parse_world,
     scan_message,
     simulated,
     start,
@@ -39,6 +41,9 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     updated,
     waveform,
 )
+
+
+_PLAIN = frozenset({bool, float, int, str, type(None)})  # most of what is within arguments
 
 
 class Memory:
@@ -65,6 +70,14 @@ class Memory:
         return made
 
     def _add(self, key: Any, value: Any) -> None:
+        if type(value) in _PLAIN:
+            key.update(f"{value!r},".encode())
+        elif (known := self._digests.get(id(value))) is not None:
+            key.update(known[1])
+        else:
+            self._add_other(key, value)
+
+    def _add_other(self, key: Any, value: Any) -> None:
         match value:
             case np.ndarray():
                 key.update(f"{value.dtype.str}{value.shape}".encode())

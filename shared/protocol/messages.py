@@ -98,7 +98,7 @@ class RunStart(_Settings):
     @field_validator("scenario")
     @classmethod
     def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
-        return parse(document, source="scenario").model_dump()
+        return parse(document, "scenario").model_dump()
 
 
 class RunCancel(Message):
@@ -143,7 +143,7 @@ class Checkpoint(_Settings):
     @field_validator("radar")
     @classmethod
     def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
-        return parse_radar(document, source="radar").model_dump()
+        return parse_radar(document, "radar").model_dump()
 
 
 class EmulatorCheckpoint(Checkpoint):
@@ -155,7 +155,7 @@ class EmulatorCheckpoint(Checkpoint):
     @field_validator("world")
     @classmethod
     def _world_complete(cls, document: dict[str, Any] | None) -> dict[str, Any] | None:
-        return None if document is None else parse_world(document, source="world").model_dump()
+        return None if document is None else parse_world(document, "world").model_dump()
 
 
 class Scan(Message):
