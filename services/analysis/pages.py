@@ -18,7 +18,7 @@ from cogradar.services.errors import BadInput
 WIDEST = 7  # columns
 FOLDER = "tables"  # beside the page
 TOPICS = {
-    "detection": r"P_D|in bin|bin hits|lost|power",
+    "detection": r"P_D|in bin|bin hits|lost|^power$",
     "accuracy": r"RMSE|GOSPA|of errors|of missed|of false",
     "air picture": r"complete|spurious|swaps|false tracks",
     "consistency": r"NEES|beyond 99",
@@ -71,7 +71,7 @@ def narrow(title: str, headings: Sequence[str], is_left: Sequence[bool], rows: S
     keys, values = [c for c in shown if c.is_key], [c for c in shown if not c.is_key]
     parts = list(_parts(values, WIDEST - len(keys))) or [values]
     drawn = [_drawn([*keys, *part]) for part in parts]
-    heads = [f"**{title}**"] if len(parts) == 1 else [f"**{title}: {_topics(part)}**" for part in parts]
+    heads = [f"**{title}{_part(parts, i)}**" for i in range(len(parts))]
     heads[0] = "\n\n".join([heads[0], *said])
     return "\n\n".join(text for pair in zip(heads, drawn, strict=True) for text in pair)
 
@@ -203,8 +203,12 @@ def _parts(values: Sequence[_Column], room: int) -> Iterator[list[_Column]]:
         yield part
 
 
-def _topics(part: Sequence[_Column]) -> str:
-    return ", ".join(dict.fromkeys(column.topic or column.heading.partition(" [")[0] for column in part))
+def _part(parts: Sequence[Sequence[_Column]], i: int) -> str:
+    """What a part of a table has, in its title: the topics, or which part it is."""
+    topics = list(dict.fromkeys(column.topic for column in parts[i]))
+    if len(parts) == 1:
+        return ""
+    return f": {', '.join(topics)}" if all(topics) else f" ({i + 1} of {len(parts)})"
 
 
 def _drawn(columns: Sequence[_Column]) -> str:
