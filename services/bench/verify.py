@@ -130,7 +130,7 @@ def false_alarms(cells: EmptyCells) -> Iterator[Check]:
     apart = slice(None, None, 4)  # far enough apart that bins of one disturbance vector alarm independently
     expected = float(np.mean([theory.false_alarm_probability(P_FA) for theory in cells.theory[apart]]))
     alarms = 2.0 * np.abs(cells.alpha_hat) ** 2 > threshold(P_FA) * cells.sigma_hat**2
-    yield _share(f"P_FA, nominally {P_FA:g}", int(alarms[:, apart].sum()), alarms[:, apart].size, expected)
+    yield _share(f"P_FA, for {P_FA:g}", int(alarms[:, apart].sum()), alarms[:, apart].size, expected)
 
 
 def detection(scenario: Scenario, cells: EmptyCells) -> Iterator[Check]:
@@ -205,9 +205,9 @@ def receivers() -> Iterator[Check]:
             found += cell.statistic >= limit
             left = cell.signature_power / (n_tx * n_rx)
             expected += 1.0 - float(ncfdtr(2.0, dof, zeta * left, 0.5 * dof * np.expm1(limit / dof)))
-        name = f"{n_tx} x {n_rx} antennas beside echoes"
-        yield _share(f"{name}: P_FA, nominally {P_FA:g}", alarms, looks, P_FA)
-        yield _share(f"{name}: P_D({zeta:g}) at P_FA {P_FA:g}", int(found), n, expected / n)
+        name = f"beside echoes, {n_tx} x {n_rx}"
+        yield _share(f"{name}: P_FA, for {P_FA:g}", alarms, looks, P_FA)
+        yield _share(f"{name}: P_D({zeta:g}), P_FA {P_FA:g}", int(found), n, expected / n)
 
 
 def noise_from_range_cells() -> Iterator[Check]:
@@ -245,9 +245,9 @@ def noise_from_range_cells() -> Iterator[Check]:
         found += row.cell.statistic >= limit
     theory = finite_size("white", 0.0, np.ones(size, np.complex128), "range-cells", n_rx)
     expected = float(theory.detection_probability(0.5 * zeta / size, size, limit))
-    name = f"{n_tx} x {n_rx} antennas, noise from range cells"
-    yield _share(f"{name}: P_FA, nominally {P_FA:g}", alarms, n * n_look, theory.false_alarm_probability(P_FA))
-    yield _share(f"{name}: P_D({zeta:g}) at P_FA {P_FA:g}", int(found), n, expected)
+    name = f"noise by range, {n_tx} x {n_rx}"
+    yield _share(f"{name}: P_FA, for {P_FA:g}", alarms, n * n_look, theory.false_alarm_probability(P_FA))
+    yield _share(f"{name}: P_D({zeta:g}), P_FA {P_FA:g}", int(found), n, expected)
 
 
 def _echo_check(scenario: Scenario) -> Check:

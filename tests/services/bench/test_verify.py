@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from cogradar.services.bench import golden, verify
 from cogradar.services.bench.verify import Check
 from cogradar.services.cli import app as cli
+from cogradar.services.cli.terminal import layout
 from cogradar.shared.power.max_min import Allocation, allocate_orthogonal
 from cogradar.shared.scenario.files import load
 from cogradar.shared.signal.detector import reception
@@ -201,3 +202,14 @@ def test_a_machine_that_plays_another_run_is_found(measured: str, says: str, mon
     done = CliRunner().invoke(cli.app, ["verify"])
     assert done.exit_code == int(measured != "a1")
     assert says in done.stdout
+
+
+def test_intervals_and_verdicts_are_shown_in_80_columns() -> None:
+    checks = [
+        Check("noise by range, 16 x 24: P_D(16), P_FA 0.01", 0.7654, 0.7654321, 0.8123, 0.8001234),
+        Check("noise by range, 16 x 24: P_FA, for 0.01", 0.009876, 0.008765, 0.01234, 9.0),
+    ]
+    lines = [str(line) for line in layout(verify.table(checks), 80)]
+    assert max(map(len, lines)) <= 80
+    assert any("FAIL" in line and "0.008765 .. 0.01234" in line for line in lines)
+    assert any("ok" in line and "0.7654 .. 0.8123" in line for line in lines)
