@@ -69,7 +69,8 @@ def test_what_the_readme_says_of_the_search_is_what_was_measured() -> None:
     counting = re.findall(r"^\| \w+ \| [\d.]+ \| mode \| ([+-][\d.]+) \[", page, re.MULTILINE)
     assert len(counting) == int(said[1])
     assert max(abs(float(difference)) for difference in counting) < float(said[0])
-    differences = re.findall(r"([+-][\d.]+)\s\[[^]]+\][ \n]with[ \n](the bin of the mean|a rule that knows the truth)", page)
+    rules = "the bin of the mean|a rule that knows the truth"
+    differences = re.findall(rf"([+-][\d.]+)\s\[[^]]+\][ \n]with[ \n]({rules})", page)
     by_rule = {rule: float(number) for number, rule in differences}
     assert by_rule["a rule that knows the truth"] > 0.0 > by_rule["the bin of the mean"]
 
