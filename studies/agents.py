@@ -1,8 +1,8 @@
 """Agents and the radar's own rules in one environment: what each lets the radar detect, with intervals.
 
-In `starved` there is too little power for all aircraft: how it is split decides what is detected. An agent's policy is
-linear: the logarithm of a track's weight is theta^T [log range, log sigma, not detected]. It is trained by the
-cross-entropy method on seeds of its own.
+In `starved` there is too little power to light all aircraft well: how it is split could decide what is detected. An
+agent's policy is linear: the logarithm of a track's weight is theta^T [log range, log sigma, not detected]. It is
+trained by the cross-entropy method on seeds of its own.
 """
 
 import threading
