@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chndtr
 
 from cogradar.shared.numerics.elementwise import exp, modulus, squared_modulus
 from cogradar.shared.numerics.jit import kernel
@@ -63,6 +62,8 @@ def detection_probability(zeta: ArrayLike, threshold: ArrayLike, rcs: str = "con
 
 
 def _detected_constant(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.special import chndtr  # 0.4 s of import, which most processes need not spend
+
     return np.asarray(1.0 - chndtr(threshold, 2.0, zeta), dtype=np.float64)
 
 

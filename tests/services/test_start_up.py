@@ -9,7 +9,7 @@ import pytest
 from cogradar.shared.protocol.topics import Role
 
 HEAVY = {"numba", "scipy", "matplotlib", "cvxpy", "clarabel"}
-SOLVERS = {"scipy.optimize", "scipy.sparse", "scipy.linalg", "scipy.spatial", "scipy.interpolate"}  # 0.4 s of CPU
+SOLVERS = {"scipy.optimize", "scipy.sparse", "scipy.linalg", "scipy.spatial", "scipy.interpolate", "scipy.special"}
 SHOWN = {"matplotlib", "plotly", "rich", "typer", "uvicorn", "starlette"}
 # What the process of each role must not have loaded when its core is there.
 UNUSED = {
