@@ -56,7 +56,7 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "(docker or netns) and not nightly" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
 # Five minutes. The first time half an hour more, to install and to compile kernels under QEMU: machines stay in /var/tmp.
-test-arm: setup ## test ARM64 under QEMU, alone and beside x86-64; needs root, debootstrap and qemu-user-static
+test-arm: setup ## test ARM64 and a Haswell under QEMU, alone and beside this one; needs root, debootstrap and qemu-user-static
 	tests/arm/machine.sh arm64
 	tests/arm/machine.sh amd64
 	$(BIN)/python -m pytest -m arm -o faulthandler_timeout=3600 $(ARGS) tests/arm
@@ -185,7 +185,7 @@ array: setup $(ARRAY)/twelve.toml $(ARRAY)/crowded.toml $(ARRAY)/high.toml ## th
 	$(call WORLD,jammer,paper-best $(IN_ARRAY) $(TURNED) --set radar.receiver.noise=rows --over 'world.jammers=[]$(COMMA)$(JAMMER)' --dwells 60,2)
 	$(call WORLD,heights,$(ARRAY)/high.toml $(IN_ARRAY) --over radar.assumes.height_max_km=0$(COMMA)12 --dwells 40,7)
 	$(BIN)/python -m studies.array heights $(ARRAY)/heights.db --into docs/array.md
-	$(call WORLD,best,paper-best --over world.signal=cells$(COMMA)array,5)
+	$(call WORLD,best,paper-best --over world.signal=cells$(COMMA)array,20)
 	$(call WORLD,literal,paper-literal --over world.signal=cells$(COMMA)array,1)
 	$(BIN)/python -m studies.array worlds $(ARRAY)/best.db --out docs/figures/array-best
 	$(BIN)/python -m studies.array worlds $(ARRAY)/literal.db --out docs/figures/array-literal

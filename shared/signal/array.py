@@ -97,6 +97,12 @@ def apart(nu: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.minimum(d, 1.0 - d))
 
 
+def around(nu: ArrayLike) -> NDArray[np.float64]:
+    """Directions within -0.5 .. 0.5: beyond an end the array hears what comes from the other one; (...) -> (...)."""
+    nu = np.asarray(nu, dtype=np.float64)
+    return np.asarray(nu - np.rint(nu))
+
+
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:
     """Index of the bin whose centre is nearest to nu, 0 .. n_bin-1; (...) -> (...)."""
     return np.floor((np.asarray(nu) + 0.5) * (n_bin - 1) + 0.5).astype(np.int64)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import modulus, squared_modulus
 from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.signal.array import around
 from cogradar.shared.signal.receiver import accumulate, band_sums, beamformed, clustered, residual
 from cogradar.shared.signal.waveform import Root, Signature, signature
 
@@ -97,7 +98,8 @@ def _off_axis_echo(
     n = a_rx.size
     received = beamformed(y, u, n)
     rho = _ratio(received, a_rx)
-    u_hat, a_hat = signature(root, min(max(nu + off_axis(rho, n), -0.5), 0.5), n)
+    nu_hat = nu + off_axis(rho, n)
+    u_hat, a_hat = signature(root, nu_hat - np.rint(nu_hat), n)
     power = float(np.sum(squared_modulus(u_hat))) * n
     noise = y.copy()
     if power > 0.0:
@@ -146,10 +148,10 @@ def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, f
 
         nu_hat = nu + d,   sigma_nu = sigma_rho / |rho'(d)|,   rho(d) = rho
 
-    on the axis of a cell in a flat spectrum sigma_nu is .39 / (N r).
+    on the axis of a cell in a flat spectrum sigma_nu is .39 / (N r). Beyond an end nu_hat is at the other end.
 
     nu : direction of the cell
     n  : receive antennas
     """
     d = off_axis(rho, n)
-    return min(max(nu + d, -0.5), 0.5), rho_sigma / -slope(d, n)
+    return float(around(nu + d)), rho_sigma / -slope(d, n)

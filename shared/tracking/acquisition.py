@@ -17,7 +17,7 @@ from cogradar.shared.numerics import elementwise
 from cogradar.shared.numerics.elementwise import exp, expm1, interpolated, log_sum_exp, modulus, power, times
 from cogradar.shared.numerics.linear import inner, product
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import apart
+from cogradar.shared.signal.array import apart, around
 from cogradar.shared.signal.echo_laws import LAWS
 from cogradar.shared.signal.looks import NEIGHBOURS, directions_everywhere, range_cells
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
@@ -38,6 +38,7 @@ _QUANTILES, _NODES = 64, 512  # of the largest noise of a row; of a table over l
 _LEAST, _MOST = -6.0, 14.0
 _AWAITED = 4  # scans in which a row that was measured in fewer than half of them is waited for
 _TINY = 1e-300
+_ENDS, _INWARD = np.array([0, -1]), np.array([1.0, -1.0])  # rows, and the sign of nu away from them
 
 
 class _RangeCells(NamedTuple):
@@ -118,6 +119,7 @@ class Candidates:
         self._measured = np.zeros(model.sensor.n_bin, dtype=np.int64)  # scans in which a row was
         # Of both ends: sum over scans of alpha_hat beside the end times the conjugate of that at the end.
         self._beside = np.zeros(2, dtype=np.complex128)
+        self._inward = np.zeros(2)  # of both ends: how far from it echoes were measured, over the variance
         for scan in scans:
             self.add(scan)
 
@@ -133,6 +135,8 @@ class Candidates:
         is_own = self._cells.is_near(where[:, 1], scan.ranges_km[rows])
         self._totals += np.where(is_own, scan.statistic[rows], 0.0)
         self._beside += times(scan.alpha_hat[[1, -2]], scan.alpha_hat[[0, -1]].conj())
+        off, sigma = around(scan.nu_hats[_ENDS] - scan.nus[_ENDS]), scan.nu_sigmas[_ENDS]
+        self._inward += np.divide(off * _INWARD, sigma**2, out=np.zeros(2), where=sigma > 0.0)
 
     def found(self) -> list[tuple[int, float]] | None:
         """Bin and range in km of each track, by bin, if every target is confirmed; else None. Range 0: not measured."""
@@ -204,7 +208,7 @@ class Candidates:
         is_other_end = mates & (np.abs(where[:, :1] - where[:, 0]) > 0.5)
         totals = self._totals[sure] * (n_scan / np.maximum(self._measured[rows], 1))  # rows may lack other scans
         strength = totals + product(is_other_end.astype(np.float64), totals)
-        which_end = np.array([self._beside_end(row) for row in rows.tolist()])
+        which_end = np.array([self._at_end(row) for row in rows.tolist()])
         if model.response.measures_range:  # looks beside the bins' centres: those at both ends are not of one direction
             which_end = totals
         picked = list[int]()
@@ -213,14 +217,18 @@ class Candidates:
                 picked.append(i)
         return [(int(rows[i]), float(where[i, 1])) for i in picked]
 
-    def _beside_end(self, row: int) -> float:
-        """How much of the echo at an end is heard in the bin beside it, 0 of any other bin.
+    def _at_end(self, row: int) -> float:
+        """How much speaks for the end of an end's bin and not for the other end, 0 of any other bin.
 
-        A target near an end is in the bins at both, and off their direction. Its echo is in the bin beside with the
-        same phase in each scan; disturbance and other targets are not.
+        A target near an end is in the bins at both, and off their direction: measured directions are on its side.
+        Where none are, its echo is in the bin beside with the same phase in each scan; disturbance and other targets
+        are not.
         """
         last = self._model.sensor.n_bin - 1
-        return float(modulus(self._beside[int(row == last)])) if row in {0, last} else 0.0
+        if row not in {0, last}:
+            return 0.0
+        end = int(row == last)
+        return float(self._inward[end]) if self._inward.any() else float(modulus(self._beside[end]))
 
     def _amplitudes(self, ranges_km: Floats) -> Floats:
         """|alpha| of the hypotheses at measured ranges, (n,) -> (n, n_hypothesis); 0: not measured."""

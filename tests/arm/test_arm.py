@@ -1,9 +1,11 @@
 """ARM64 plays what x86-64 plays, byte for byte: alone, from each other's stores, and as one system.
 
-Two small machines with Debian on this one (machine.sh), ARM64 under QEMU, which takes 30 to 60 times as long.
+Two small machines with Debian on this one (machine.sh), ARM64 under QEMU, which takes 30 to 60 times as long. The third
+is this checkout on an emulated Haswell of 2013: AVX2, no AVX-512.
 """
 
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -20,8 +22,16 @@ from cogradar.services.runs import cluster
 from cogradar.shared.wire.session import free_port
 from tests.services.stored import rows
 
+ROOT = Path(__file__).parents[2]
 MACHINE = Path(__file__).parent / "machine.sh"
+HASWELL = {
+    "NUMBA_CPU_NAME": "haswell",
+    "NUMBA_CPU_FEATURES": "+sse2,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma,+bmi,+bmi2,+popcnt,+lzcnt,+cx16",
+    "OPENBLAS_NUM_THREADS": "1",
+    "COGRADAR_CACHE_DIR": str(ROOT / "build/haswell-kernels"),
+}
 GOLDEN = json.loads(FILE.read_text(encoding="utf-8"))[NAME][str(SEED)]
+COGRADAR = (".venv/bin/python", "-m", "cogradar")
 SMOKE = ("run", NAME, "--seed", str(SEED), "--json")
 STORE, OTHERS = "/tmp/played.db", "/tmp/other.db"
 WITHIN_S = 1800.0
@@ -43,8 +53,19 @@ def machine(request: pytest.FixtureRequest) -> str:
     return architecture
 
 
+@pytest.fixture(scope="module")
+def haswell() -> str:
+    """Its kernels are compiled without QEMU, for its instructions."""
+    script = "from cogradar.services.kernels import compile_all; compile_all(print)"
+    subprocess.run([".venv/bin/python", "-c", script], cwd=ROOT, env=os.environ | HASWELL, check=True)
+    return "haswell"
+
+
 def _in(architecture: str, *command: str) -> list[str]:
-    return [str(MACHINE), architecture, *command]
+    if architecture != "haswell":
+        return [str(MACHINE), architecture, *command]
+    variables = [f"{name}={value}" for name, value in HASWELL.items()]
+    return ["env", f"--chdir={ROOT}", *variables, "qemu-x86_64-static", "-cpu", "Haswell", *command]
 
 
 def _said(architecture: str, *command: str) -> str:
@@ -54,7 +75,7 @@ def _said(architecture: str, *command: str) -> str:
 
 
 def _cogradar(architecture: str, *arguments: str) -> str:
-    return _said(architecture, ".venv/bin/cogradar", *arguments)
+    return _said(architecture, *COGRADAR, *arguments)
 
 
 def _file(architecture: str, path: str) -> Path:
@@ -101,7 +122,7 @@ def test_kernels_compute_what_their_plain_versions_do() -> None:
 
 @contextmanager
 def _service(architecture: str, role: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(_in(architecture, ".venv/bin/cogradar", "service", role, *arguments))
+    process = subprocess.Popen(_in(architecture, *COGRADAR, "service", role, *arguments))
     try:
         yield process
     finally:
@@ -136,12 +157,18 @@ def test_processes_play_the_golden_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert json.loads(said)["digest"] == GOLDEN
 
 
-def test_a_planner_on_arm_takes_over_the_tracks_of_one_on_x86(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All others are on x86-64; the planner there is killed in the middle of the run."""
+def test_a_haswell_plays_the_golden_run(haswell: str) -> None:
+    assert json.loads(_cogradar(haswell, *SMOKE, "--dwells", str(DWELLS), "--in-process"))["digest"] == GOLDEN
+
+
+@pytest.mark.parametrize("other", ["arm64", "haswell"])
+def test_a_planner_on_another_processor_takes_over(other: str, haswell: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All others are on this x86-64; the planner there is killed in the middle of the run."""
+    assert haswell
     alone = json.loads(_cogradar("amd64", *SMOKE, "--dwells", str(TAKEOVER_DWELLS), "--in-process"))
     store = "/tmp/both.db"
-    with _system("amd64", ("amd64", "arm64"), store, monkeypatch) as (endpoint, planners):
-        play = _in("amd64", ".venv/bin/cogradar", *SMOKE, "--dwells", str(TAKEOVER_DWELLS), "--connect", endpoint)
+    with _system("amd64", ("amd64", other), store, monkeypatch) as (endpoint, planners):
+        play = _in("amd64", *COGRADAR, *SMOKE, "--dwells", str(TAKEOVER_DWELLS), "--connect", endpoint)
         with subprocess.Popen(play, stdout=subprocess.PIPE, text=True) as run:
             deadline = time.monotonic() + WITHIN_S
             while _newest(_file("amd64", store)) < TAKEOVER_DWELLS // 10:

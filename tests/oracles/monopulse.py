@@ -19,7 +19,7 @@ def measured(y: Echo, signatures: Signatures, nu: float) -> tuple[float, float, 
     """Discriminator, the standard deviation of its error, and sigma_hat of what the echo leaves."""
     u, a_rx = signatures.at(nu)
     rho = ratio(y, u, a_rx)
-    v = np.kron(*signatures.at(min(max(nu + off_axis(rho, a_rx.size), -0.5), 0.5)))
+    v = np.kron(*signatures.at(nu + off_axis(rho, a_rx.size)))
     noise = y - np.vdot(v, y) / np.vdot(v, v) * v
     error = wald_test(noise, u, _derivative(a_rx) + rho * a_rx)
     signal = abs(np.vdot(np.kron(u, a_rx), y))

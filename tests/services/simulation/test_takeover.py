@@ -211,7 +211,7 @@ def test_a_process_that_comes_back_after_a_second_ends_no_track(disk: Disk, name
     assert cluster.rosters[-1][0] > SECONDS - 0.5
 
 
-@pytest.mark.parametrize("rate_hz", [2.0, 4.0, 10.0])
+@pytest.mark.parametrize("rate_hz", [2.0, 4.0, pytest.param(10.0, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", [_halt, _restart, _slow_down])
 def test_looks_that_are_repeated_while_no_allocator_answers_end_no_track(
     disk: Disk, rate_hz: float, fault: Callable[[Cluster, str, float], None]

@@ -81,9 +81,11 @@ def test_the_kernel_measures_what_products_of_whole_signatures_do(isotropic: flo
         assert found == pytest.approx(plain.measured(y, signatures, nu), rel=1e-9)
 
 
-def test_a_direction_is_one_that_there_is() -> None:
-    assert monopulse.direction(0.5, -0.5 * N_RX, 1.0, N_RX)[0] == 0.5
-    assert monopulse.direction(-0.5, 0.5 * N_RX, 1.0, N_RX)[0] == -0.5
+@pytest.mark.parametrize(("nu", "d", "at"), [(0.499, 0.003, -0.498), (-0.5, -0.002, 0.498), (0.499, -0.003, 0.496)])
+def test_a_direction_beyond_an_end_is_at_the_other(nu: float, d: float, at: float) -> None:
+    measured = monopulse.direction(nu, float(monopulse.discriminator(d, N_RX)), 1.0, N_RX)[0]
+    assert measured == pytest.approx(at, abs=1e-9)
+    assert measured == pytest.approx(np.angle(np.exp(2j * np.pi * (nu + d))) / (2.0 * np.pi), abs=1e-9)
 
 
 def test_on_the_axis_sigma_is_what_everybody_quotes() -> None:

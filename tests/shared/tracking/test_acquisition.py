@@ -13,11 +13,11 @@ from scipy.special import i0e
 
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.array import around, bin_centres
 from cogradar.shared.signal.detector import data_set
 from cogradar.shared.signal.looks import range_cells
 from cogradar.shared.signal.receiver import threshold
-from cogradar.shared.signal.response import BinResponse
+from cogradar.shared.signal.response import BinResponse, LobeResponse
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.signal.waveform import Signatures
 from cogradar.shared.tracking.acquisition import Candidates, expected_scans
@@ -122,6 +122,26 @@ def test_a_target_that_an_array_hears_at_both_ends_is_one_at_its_own(nu: float, 
         beams = np.full((2, 1), -1, np.int32)
         candidates.add(bins_scan(n, k=k, bins=np.arange(n, dtype=np.int32), beams=beams, **columns))
     assert {end, other} == set(np.asarray(candidates.bins()).tolist())
+
+
+@pytest.mark.parametrize(("nu", "end"), [(0.498, 99), (-0.498, 0), (0.4995, 99)])
+def test_a_target_near_an_end_is_where_its_directions_are_measured(nu: float, end: int) -> None:
+    """By the looks at both ends, each as far off its axis as the other: what they measure is on the target's side."""
+    n, rng = 100, np.random.default_rng(8)
+    model = replace(of(n, 1), response=LobeResponse(n, n, n, np.inf))
+    candidates = Candidates(model)
+    for k in range(25):
+        statistic = rng.exponential(2.0, n)
+        statistic[[0, -1]] = 25.0
+        alpha_hat = (SIGMA * np.sqrt(0.5 * statistic) * np.exp(2j * np.pi * rng.random(n))).astype(np.complex64)
+        centres, nu_sigmas, ends = bin_centres(n), np.zeros(n), np.where(np.arange(n) % (n - 1) == 0)
+        nu_hats = centres.copy()
+        nu_hats[ends], nu_sigmas[ends] = around(nu + 1e-3 * rng.standard_normal(2)), 1e-3
+        cells = {"bins": np.arange(n, dtype=np.int32), "statistic": statistic, "alpha_hat": alpha_hat}
+        noise = {"sigma_hat": np.full(n, SIGMA), "signature_power": np.full(n, 100.0)}
+        scan = bins_scan(n, k=k, **cells, **noise, beams=np.full((1, 1), -1, np.int32))
+        candidates.add(scan._replace(nu_hats=nu_hats, nu_sigmas=nu_sigmas))
+    assert np.asarray(candidates.bins()).tolist() == [end]
 
 
 def test_no_track_before_all_targets_are_confirmed() -> None:

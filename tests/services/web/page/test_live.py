@@ -102,7 +102,9 @@ def test_a_page_that_is_open_sees_its_run_end(live: Live, show: Open) -> None:
     expect(page.locator("#dwell")).to_have_text(re.compile("^5[01]$"))
 
 
-@pytest.mark.parametrize("is_open", [True, False], ids=["open", "opening"])
+@pytest.mark.parametrize(
+    "is_open", [pytest.param(True, id="open"), pytest.param(False, id="opening", marks=pytest.mark.nightly)]
+)
 def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched, is_open: bool) -> None:
     held: list[Route] = []
 
