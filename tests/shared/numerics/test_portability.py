@@ -29,7 +29,7 @@ EXCEPTIONS = {
     "shared/power/max_min.py:kkt_residuals": "a check of `cogradar verify` and of the tests",
     "shared/power/sdp_reference.py:__init__": "expressions of cvxpy, which are no numbers yet",
     "shared/protocol/fields.py:_is_small": "whether a message has numbers that are far too large",
-    "shared/protocol/recovery.py:_is_mixture": "a view of diagonals",
+    "shared/protocol/admission.py:_is_mixture": "a view of diagonals",
     "shared/scenario/cross_checks.py": "whether a scenario is refused",
     "services/emulator/front_end.py:calibrate": "what `cogradar calibrate` says of recorded data",
 }
