@@ -10,6 +10,7 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 _OTHERS = {"beams", "beam_nus", "gates", "roster", "settings", "unmeasured", "lost_km", "fault", "waveform_k", "utc_s"}
+_OTHERS |= {"front_end"}
 COLUMNS = {field.name for field in fields(ScanData)} - _OTHERS
 
 

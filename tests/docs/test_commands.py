@@ -32,6 +32,7 @@ OTHERS = {
     "dask",
     "datamodel-codegen",
     "docker",
+    "export",
     "kubectl",
     "prometheus",
     "python",

@@ -8,15 +8,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from filelock import lock_descriptor
 
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
-from cogradar.shared.scenario.radar_config import BeliefSection, RadarConfig
-from cogradar.shared.scenario.tables import BIN_RULES
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.tables import BELIEFS, BIN_RULES
 from cogradar.shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -125,8 +124,7 @@ def test_kernels_of_every_filter_and_rule_are_compiled(monkeypatch: pytest.Monke
     monkeypatch.setattr("cogradar.services.runs.in_process.play", lambda _: None)
     monkeypatch.setattr("cogradar.services.planner.decision.warm_up", lambda radar, _: warmed.append(radar))
     kernels._compile(lambda _: None, None)
-    filters = get_args(get_args(BeliefSection.__annotations__["filter"])[0])
-    assert {radar.belief.filter for radar in warmed} == set(filters)
+    assert {radar.belief.filter for radar in warmed} == set(BELIEFS)
     assert {radar.planner.rule for radar in warmed} == set(BIN_RULES)
     assert {radar.is_unknown for radar in warmed} == {True, False}
 

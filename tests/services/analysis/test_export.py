@@ -91,7 +91,7 @@ def _mat(path: Path) -> Columns:
 
 def _netcdf(path: Path) -> Columns:
     with xr.open_dataset(path) as loaded:
-        assert loaded["x_hat"].attrs == {"units": "km"}
+        assert loaded["x_hat"].attrs == {"units": "km", "long_name": "position along boresight, of the estimate"}
         of_run = {name: [loaded.attrs[name]] * loaded.sizes["row"] for name in OF_RUN}
         return of_run | {str(name): loaded[name].to_numpy().tolist() for name in loaded}
 

@@ -20,8 +20,8 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert text.startswith("before\n<!-- report smoke -->\n")
     assert text.endswith("<!-- /report smoke -->\nafter\n")
     assert "old" not in text
-    assert text.count("| 1 | uniform | 0.500 |") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
+    assert text.count("| 1 | uniform | 0.500 [0.500, 0.500] | [0.377, 0.623] |") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"results.md", "tables"}
     page.write_text("no markers")
     with pytest.raises(BadInput, match=r"results\.md: has no lines"):
         write(page, [found])
@@ -58,9 +58,12 @@ def test_reports_stand_side_by_side_where_a_page_asks_for_it(store: Store, tmp_p
     smoke = report_of(store)
     write(page, [smoke, smoke | {"scenario": "other", "fidelity": "paper"}])
     beside = page.read_text().split("<!-- /side by side -->")[0]
-    last = row_of(smoke["last"], target=1, strategy="uniform")
-    assert beside.count(f"| 1 | uniform | smoke (robust) | 41-60 | {last['p_d']:.3f} |") == 1
-    assert beside.count(f"| 1 | uniform | other (paper) | 41-60 | {last['p_d']:.3f} |") == 1
-    assert "| 1 | uniform | other (paper) | 1-60 |" in beside
-    lines = [line.split("|")[1:4] for line in beside.splitlines() if "| 41-60 |" in line]
-    assert lines == sorted(lines, key=lambda line: line[0])  # target by target
+    last, all_ = beside.split("**Side by side, all dwells**")
+    p_d = row_of(smoke["last"], target=1, strategy="uniform")["p_d"]
+    for table, p_d_of, dwells in ((last, p_d, "41-60"), (all_, 1.0 - 10 / 60, "1-60")):  # ten misses, all at the end
+        assert f"In all rows: dwells {dwells};" in table
+        for scenario in ("smoke (robust)", "other (paper)"):
+            assert table.count(f"| 1 | uniform | {scenario} | {p_d_of:.3f} [") == 1
+        lines = [line.split("|")[1] for line in table.splitlines() if line.startswith(("| 1 ", "| 2 "))]
+        assert len(lines) == 8
+        assert lines == sorted(lines)  # target by target

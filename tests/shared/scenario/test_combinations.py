@@ -95,13 +95,13 @@ def test_what_has_a_digest_is_supported(name: str) -> None:
         (
             ("fidelity=best", "belief.filter=published"),
             'belief.filter = "published": no supported combination; nearest: set belief.filter = "likelihood"'
-            ' ("steered cells, joint looks")',
+            ' or your own ("steered cells, joint looks")',
         ),
         (
             ("fidelity=paper", "receiver.cells=steered"),
             'belief.filter = "published", receiver.cells = "steered": no supported combination; nearest: set'
             ' receiver.cells = "bins" ("published filter, single looks"); or set belief.filter = "likelihood"'
-            ' ("steered cells, single looks")',
+            ' or your own ("steered cells, single looks")',
         ),
     ],
 )
