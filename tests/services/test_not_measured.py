@@ -131,7 +131,7 @@ def test_what_was_not_measured_is_counted_and_is_no_miss(name: str, has_truth: b
     assert f"not measured: {sum(counts)} looks, {len(outage)} dwells as a whole" in caption
     (fault,) = (scan.fault for scan in tracking if scan.t == max(outage))
     assert fault
-    assert caption.count(f"not in P_D; the last time: {fault}\n") == 1
+    assert caption.count(f"not in P_D; the last time: {fault}") == 1
     rows = answer(store, "tracks", {})
     assert all(row["detected"] is None for row in rows if row["t"] in outage and row["track"] is not None)
     assert not rows or any(row["detected"] is not None for row in rows if row["t"] not in outage)
