@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.place import Place
-from cogradar.services.skies.readers import text
+from cogradar.services.skies.readers import text, unpacked
 from cogradar.services.skies.readers.asterix import is_asterix, read_asterix
 from cogradar.services.skies.readers.receiver import read_json, read_parquet
 from cogradar.services.skies.readers.report import Report, Tally
@@ -24,6 +25,7 @@ _CURES = {
     b"Obj\x01": "an Avro file: export it as Parquet or CSV",
     b"%PDF": "a PDF: export it as CSV",
     b"<": "XML or KML: export it as CSV",
+    b"\x1f\x8b": "compressed twice: decompress it once",
 }
 
 
@@ -47,23 +49,32 @@ def reports(file: Path, place: Place, tally: Tally) -> Iterator[Report]:
         tally.note(f"rows are counted through the {len(inside)} files of the folder, in the order of their names")
     except FileNotFoundError:
         raise BadInput(f"{file}: no such file") from None
-    except text.CUT as error:
-        said = error.strerror if isinstance(error, OSError) and error.strerror else printable(str(error))
-        raise BadInput(f"{file}: {said}") from None
+    except OSError as error:
+        raise BadInput(f"{file}: {error.strerror or printable(str(error))}") from None
 
 
 def _of_file(file: Path, place: Place, tally: Tally) -> Iterator[Report]:
-    with text.opened(file) as stream:
-        head = text.head_of(stream)
-    for magic, cure in _CURES.items():
-        if head.startswith(magic):
-            raise BadInput(f"{file}: is {cure}")
-    with text.opened(file) as stream:
-        if head.startswith(b"PAR1"):
-            yield from read_parquet(file, stream, tally)
-        elif is_asterix(head):
-            yield from read_asterix(file, stream, tally, place)
-        elif head.decode(text.encoding(head), "replace").lstrip("\ufeff \t\r\n")[:1] in ("{", "["):
-            yield from read_json(file, stream, head, tally)
-        else:
-            yield from text.read_table(file, stream, head, tally)
+    try:
+        with unpacked.opened(file) as stream:
+            head = stream.read(text.HEAD)
+        for magic, cure in _CURES.items():
+            if head.startswith(magic):
+                raise BadInput(f"{file}: is {cure}")
+        if head[257:].startswith(b"ustar"):
+            raise BadInput(f"{file}: is a tar archive: unpack it, tar -xf {file.name}, and name the folder")
+        with unpacked.opened(file) as stream:
+            yield from _of_stream(file, stream, head, place, tally)
+    except unpacked.DamagedFile as error:
+        raise BadInput(f"{file}: {error}") from None
+
+
+def _of_stream(file: Path, stream: IO[bytes], head: bytes, place: Place, tally: Tally) -> Iterator[Report]:
+    """The reports of a file that begins so."""
+    if head.startswith(b"PAR1"):
+        yield from read_parquet(file, stream, tally)
+    elif is_asterix(head):
+        yield from read_asterix(file, stream, tally, place)
+    elif head.decode(text.encoding(head), "replace").lstrip("\ufeff \t\r\n")[:1] in ("{", "["):
+        yield from read_json(file, stream, head, tally)
+    else:
+        yield from text.read_table(file, stream, head, tally)

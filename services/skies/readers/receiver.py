@@ -8,7 +8,7 @@ from typing import IO, Any
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.readers import table
 from cogradar.services.skies.readers.report import Report, Tally
-from cogradar.services.skies.readers.text import CUT, lines
+from cogradar.services.skies.readers.text import encoding
 
 MOST_BYTES = 1 << 30  # of one document, which is read whole
 STATES = (  # of OpenSky's REST interface, by place
@@ -25,10 +25,7 @@ FORMS = (
 
 def read_json(file: Path, stream: IO[bytes], head: bytes, tally: Tally) -> Iterator[Report]:
     """The reports of a JSON file: one document, or one in each line. Raises BadInput."""
-    try:
-        text = "".join(lines(stream, head, tally))
-    except MemoryError:
-        raise BadInput(f"{file}: is too large to be read at once: give a folder of smaller files") from None
+    text = _whole(file, stream).decode(encoding(head), "replace")
     try:
         documents = [json.loads(text.removeprefix("\ufeff"))]
     except RecursionError:
@@ -50,6 +47,13 @@ def read_json(file: Path, stream: IO[bytes], head: bytes, tally: Tally) -> Itera
             raise BadInput(f"{file}: {str(error).replace('its header has', 'its records have')}") from None
         numbered = ((tally.rows + 1, [_cell(cell) for cell in cells]) for cells in rows)
         yield from table.read(columns, numbered, tally)
+
+
+def _whole(file: Path, stream: IO[bytes]) -> bytes:
+    data = stream.read(MOST_BYTES + 1)
+    if len(data) > MOST_BYTES:
+        raise BadInput(f"{file}: is JSON of more than {MOST_BYTES >> 30} GiB: give a folder of smaller files")
+    return data
 
 
 def _documents(text: str) -> list[Any]:
@@ -139,7 +143,7 @@ def read_parquet(file: Path, stream: IO[bytes], tally: Tally) -> Iterator[Report
             cells = zip(*(column.to_pylist() for column in batch.columns), strict=True)
             numbered = ((tally.rows + 1, [_cell(cell) for cell in row]) for row in cells)
             yield from table.read(columns, numbered, tally)
-    except (pyarrow.ArrowException, *CUT) as error:
+    except (pyarrow.ArrowException, OSError) as error:
         raise BadInput(f"{file}: no Parquet file: {error}") from None
     except BadInput as error:
         raise BadInput(f"{file}: {error}") from None

@@ -1,16 +1,11 @@
-"""Bytes of a file as text: compression, encoding and delimiter, found out or named with the cure."""
+"""Bytes of a file as text: encoding and delimiter, found out or named with the cure."""
 
-import bz2
 import csv
-import gzip
 import io
-import lzma
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import IO, cast
+from typing import IO
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.readers import table
@@ -24,49 +19,6 @@ SBS_HEADER = (
     "lat,lon,climb,squawk,alert,emergency,spi,onground"
 )
 _BOMS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-_CURES = {b"\x28\xb5\x2f\xfd": ("Zstandard", "unzstd"), b"7z\xbc\xaf": ("7-Zip", "7z x"), b"Rar!": ("RAR", "unrar x")}
-CUT = (EOFError, zlib.error, lzma.LZMAError, OSError)
-
-
-def opened(file: Path) -> IO[bytes]:
-    """The bytes of a file, decompressed. Raises BadInput for what Python cannot decompress, and OSError."""
-    with file.open("rb") as stream:
-        head = stream.read(6)
-    if head.startswith(b"\x1f\x8b"):
-        return cast(IO[bytes], gzip.open(file))
-    if head.startswith(b"BZh"):
-        return cast(IO[bytes], bz2.open(file))
-    if head.startswith(b"\xfd7zXZ"):
-        return cast(IO[bytes], lzma.open(file))
-    if head.startswith(b"PK\x03\x04"):
-        return _zipped(file)
-    for magic, (name, tool) in _CURES.items():
-        if head.startswith(magic):
-            raise BadInput(f"{file}: is compressed with {name}: decompress it first, {tool} {file.name}")
-    return file.open("rb")
-
-
-def _zipped(file: Path) -> IO[bytes]:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            names = [name for name in archive.namelist() if not name.endswith("/")]
-            if len(names) != 1:
-                raise BadInput(f"{file}: has {len(names)} files, must be one: unpack it, and name the one, or a folder")
-            return io.BytesIO(archive.read(names[0]))
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise BadInput(f"{file}: cannot be unpacked: {error}") from None
-
-
-def head_of(stream: IO[bytes]) -> bytes:
-    """The first bytes of a file; of a compressed one that is cut short, those that there are."""
-    head = b""
-    try:
-        while len(head) < HEAD and (more := stream.read(min(512, HEAD - len(head)))):
-            head += more
-    except CUT:
-        if not head:
-            raise
-    return head
 
 
 def encoding(head: bytes) -> str:
@@ -79,18 +31,15 @@ def encoding(head: bytes) -> str:
     return "utf-8"
 
 
-def lines(stream: IO[bytes], head: bytes, tally: Tally) -> Iterator[str]:
-    """The lines of a text, with their ends. A compressed file that is cut short ends early, which is noted."""
+def lines(stream: IO[bytes], head: bytes) -> Iterator[str]:
+    """The lines of a text, with their ends."""
     with io.TextIOWrapper(stream, encoding=encoding(head), errors="replace", newline="") as text:
-        try:
-            yield from text
-        except CUT as error:
-            tally.note(f"the file ends early ({error}): what was read up to there is used")
+        yield from text
 
 
 def read_table(file: Path, stream: IO[bytes], head: bytes, tally: Tally) -> Iterator[Report]:
     """The reports of a table of delimited text. Raises BadInput."""
-    source = lines(stream, head, tally)
+    source = lines(stream, head)
     skipped, first = 0, ""
     for line in source:
         if line.strip() and not line.startswith("#") and not line.lower().startswith("sep="):

@@ -3,6 +3,8 @@
 import bz2
 import gzip
 import lzma
+import re
+import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -11,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -154,9 +157,18 @@ def test_what_is_missing_may_be_said_in_many_ways(token: str, tmp_path: Path) ->
 
 
 def zipped(content: bytes, tmp_path: Path) -> bytes:
-    with zipfile.ZipFile(tmp_path / "z", "w") as archive:
+    with zipfile.ZipFile(tmp_path / "z", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("p.csv", content)
     return (tmp_path / "z").read_bytes()
+
+
+COMPRESSED: dict[str, Callable[[bytes, Path], bytes]] = {
+    "gzip": lambda content, _: gzip.compress(content),
+    "bzip2": lambda content, _: bz2.compress(content),
+    "xz": lambda content, _: lzma.compress(content),
+    "Zstandard": lambda content, _: zstandard.ZstdCompressor(write_checksum=True).compress(content),
+    "ZIP": zipped,
+}
 
 
 def test_delimiters_compressions_and_encodings_are_found_out(tmp_path: Path) -> None:
@@ -167,7 +179,7 @@ def test_delimiters_compressions_and_encodings_are_found_out(tmp_path: Path) -> 
     contents: list[str | bytes] = [
         *(text(rows, delimiter=delimiter) for delimiter in (";", "\t", "|")),
         *(text(rows).encode(name) for name in ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252")),
-        *(gzip.compress(utf8), bz2.compress(utf8), lzma.compress(utf8), zipped(utf8, tmp_path)),
+        *(compress(utf8, tmp_path) for compress in COMPRESSED.values()),
         gzip.compress(text(rows, delimiter="\t").encode("utf-16")),
         text(rows).replace("\n", "\r\n"),
         "sep=;\r\n" + german,
@@ -179,8 +191,38 @@ def test_delimiters_compressions_and_encodings_are_found_out(tmp_path: Path) -> 
     for content in contents:
         assert read(tmp_path, content).targets == plain.targets, content[:60]
     assert dropped(read(tmp_path, text(rows[:30]) + text(rows[30:]))) == {Why.HEADER: 1}
-    cut = read(tmp_path, gzip.compress(utf8)[:-400])
-    assert any("ends early" in note for note in cut.tally.notes)
+
+
+@pytest.mark.parametrize(
+    ("form", "tool"),
+    [("gzip", "zcat"), ("bzip2", "bzcat"), ("xz", "xzcat"), ("Zstandard", "zstdcat"), ("ZIP", None)],
+)
+def test_a_compressed_file_that_is_cut_short_or_damaged_is_an_error(
+    form: str, tool: str | None, tmp_path: Path
+) -> None:
+    """Of a large one, which is not decompressed at once."""
+    whole = COMPRESSED[form](text(straight(n=5000, speed=0.0)).encode(), tmp_path)
+    middle = len(whole) // 2
+    cure = "fetch it again" + (f", or use what there is of it: {tool} < p.csv > part" if tool else "")
+    words = f"is cut short: its {form} data end early; {cure}" if tool else "cannot be unpacked: File is not a zip file"
+    with pytest.raises(BadInput, match=re.escape(f"p.csv: {words}")):
+        read(tmp_path, whole[:middle])
+    other = whole[:middle] + bytes(64) + whole[middle + 64 :]
+    with pytest.raises(BadInput, match=rf"p\.csv: is damaged: its {form} data say .+; {re.escape(cure)}"):
+        read(tmp_path, other)
+
+
+def test_a_table_in_a_damaged_file_of_a_folder_is_named(tmp_path: Path) -> None:
+    for name in ("a.gz", "b.gz"):
+        (tmp_path / name).write_bytes(gzip.compress(text(straight()).encode())[: None if name == "a.gz" else -50])
+    with pytest.raises(BadInput, match=r"b\.gz: is cut short"):
+        recorded(tmp_path, PLACE, RANGE_KM)
+
+
+def test_zstandard_without_its_library_names_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "compression" if sys.version_info >= (3, 14) else "backports", None)
+    with pytest.raises(BadInput, match=r"pip install 'cogradar\[zstd\]', or decompress it first: zstd -d p.csv"):
+        read(tmp_path, COMPRESSED["Zstandard"](text(straight()).encode(), tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -262,7 +304,9 @@ def test_a_part_may_be_selected(tmp_path: Path) -> None:
         (text(straight()[:1]), "1 the only position of a flight (row 2)"),
         (text([row._replace(lat=-row.lat) for row in straight()]), "60 farther than --range from the radar"),
         (text(straight()).replace("17145", "noon"), "60 a value cannot be read (rows 2 .. 61: time = 'noon64800'"),
-        (b"\x28\xb5\x2f\xfd\0\0\0", "is compressed with Zstandard: decompress it first, unzstd p.csv"),
+        (b"\x04\x22\x4d\x18\0\0\0", "is compressed with LZ4: decompress it first, lz4 -d p.csv"),
+        (gzip.compress(gzip.compress(b"")), "is compressed twice: decompress it once"),
+        (bytes(257) + b"ustar\0" + bytes(249), "is a tar archive: unpack it, tar -xf p.csv, and name the folder"),
         (b"\xd4\xc3\xb2\xa1\0\0\0", "is a capture of packets: take the data out of the packets"),
         (b"SQLite format 3\0", "is an SQLite database: export the table of positions as CSV"),
     ],
