@@ -244,7 +244,7 @@ def sky(
             "--from",
             metavar="FILE",
             help="A recording, or a folder of them: CSV with time, aircraft, latitude, longitude; JSON of readsb,"
-            " tar1090 or OpenSky; Parquet; ASTERIX.",
+            " tar1090 or OpenSky; Parquet; ASTERIX, also as a capture of packets.",
         ),
     ] = None,
     start: Annotated[

@@ -1,16 +1,17 @@
 """ASTERIX recordings: categories 021 (ADS-B), 048 (a radar's plots) and 062 (tracks), with 034 for a radar's place.
 
-The library `libasterix` decodes a record in about 1 ms. Times are seconds since midnight; the days of a recording are
-counted from day 0, since it has no date.
+The library `libasterix` decodes a record in about 1 ms. Times are seconds since midnight: the day is that of the packet
+in which a record came. A recording without packets has no date, and its days are counted from day 0.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import cos, radians, sin, sqrt
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.place import Place
+from cogradar.services.skies.readers.packets import Capture
 from cogradar.services.skies.readers.report import Report, Tally, Why
 from cogradar.services.skies.readers.table import FOOT_KM, NO_ADDRESS
 from cogradar.shared.scenario.limits import MAX_HEIGHT_KM
@@ -22,7 +23,16 @@ EDITIONS = {  # newest first: a recording does not say its own
     62: ("062_1_21", "062_1_19", "062_1_16"),
 }
 DAY_S, HALF_S = 86_400.0, 43_200.0
+APART_S = 600.0  # between the clocks of packets and records, from which it is said
 NM_KM, LEVEL_KM = 1.852, 100.0 * FOOT_KM
+
+
+class _Block(NamedTuple):
+    """A data block."""
+
+    category: int
+    records: bytes
+    received_s: float | None = None  # since 1970, UTC; None: nothing says it
 
 
 class _Said(NamedTuple):
@@ -46,6 +56,17 @@ def read_asterix(file: Path, stream: IO[bytes], tally: Tally, place: Place) -> I
 
     A radar whose place is not recorded (I034/120) is taken to stand at `place`.
     """
+    yield from _read(file, _blocks(file, stream, tally), "ASTERIX", tally, place)
+
+
+def read_packets(file: Path, stream: IO[bytes], tally: Tally, place: Place) -> Iterator[Report]:
+    """The reports of a capture of packets, whose times give the day; as `read_asterix`."""
+    capture = Capture(file, stream)
+    blocks = _blocks_of_packets(file, capture, tally)
+    yield from _read(file, blocks, f"ASTERIX in packets ({capture.form})", tally, place)
+
+
+def _read(file: Path, blocks: Iterable[_Block], form: str, tally: Tally, place: Place) -> Iterator[Report]:
     try:
         from asterix import base, generated
     except ImportError:
@@ -54,11 +75,10 @@ def read_asterix(file: Path, stream: IO[bytes], tally: Tally, place: Place) -> I
         category: [getattr(generated, f"Cat_{name}").cv_uap for name in names] for category, names in EDITIONS.items()
     }
     days, radars, seen = _Days(), dict[str, Place](), set[int]()
-    for category, records in _blocks(file, stream, tally):
-        if category not in parsers:
-            seen.add(category)
-            continue
+    for category, records, received_s in blocks:
         seen.add(category)
+        if category not in parsers:
+            continue
         found = next(
             (
                 parsed
@@ -77,16 +97,15 @@ def read_asterix(file: Path, stream: IO[bytes], tally: Tally, place: Place) -> I
         for record in found:
             tally.rows += 1
             said = _SAID[category](record, radars, place, tally)
-            if isinstance(report := _report(said, tally.rows, days), Report):
+            if isinstance(report := _report(said, tally.rows, days, received_s), Report):
                 yield report
             else:
                 tally.drop(report, tally.rows)
-    tally.form = f"ASTERIX, categories {', '.join(f'{category:03}' for category in sorted(seen))}"
-    tally.note("ASTERIX has no date: times are since midnight UTC of the first day")
+    tally.form = f"{form}, categories {', '.join(f'{category:03}' for category in sorted(seen))}"
+    tally.note(days.note)
 
 
-def _blocks(file: Path, stream: IO[bytes], tally: Tally) -> Iterator[tuple[int, bytes]]:
-    """Category and records of each data block."""
+def _blocks(file: Path, stream: IO[bytes], tally: Tally) -> Iterator[_Block]:
     n = 0
     while len(head := stream.read(3)) == 3:
         n += 1
@@ -94,7 +113,7 @@ def _blocks(file: Path, stream: IO[bytes], tally: Tally) -> Iterator[tuple[int, 
         body = stream.read(max(length - 3, 0))
         if length <= 3 or len(body) < length - 3:
             break
-        yield head[0], body
+        yield _Block(head[0], body)
     else:
         if not head:
             return
@@ -103,7 +122,38 @@ def _blocks(file: Path, stream: IO[bytes], tally: Tally) -> Iterator[tuple[int, 
     tally.note(f"the recording ends within data block {n}: what was read up to there is used")
 
 
-def _report(said: _Said, row: int, days: "_Days") -> Report | Why:
+def _blocks_of_packets(file: Path, capture: Capture, tally: Tally) -> Iterator[_Block]:
+    """The data blocks in the UDP datagrams of a capture. A datagram that is not whole blocks has something else."""
+    found = False
+    for received_s, payload in capture.datagrams():
+        blocks = _whole_blocks(payload)
+        found = found or bool(blocks)
+        if not blocks:
+            capture.left["have something else than ASTERIX"] += 1
+        for category, records in blocks:
+            yield _Block(category, records, received_s)
+    if not found:
+        raise BadInput(f"{file}: is a capture of {capture.n} packets without ASTERIX in UDP: {capture.reasons}")
+    for words, n in capture.left.most_common(5):
+        tally.note(f"{n} of {capture.n} packets are left out: they {words}")
+    if capture.is_cut:
+        tally.note(f"the capture ends within packet {capture.n + 1}: what was read up to there is used")
+
+
+def _whole_blocks(payload: bytes) -> list[tuple[int, bytes]]:
+    """Category and records of the data blocks that a datagram is; empty if it is something else."""
+    found = list[tuple[int, bytes]]()
+    begin = 0
+    while begin < len(payload):
+        end = begin + int.from_bytes(payload[begin + 1 : begin + 3])
+        if end <= begin + 3 or end > len(payload) or payload[begin] == 0:
+            return []
+        found.append((payload[begin], payload[begin + 3 : end]))
+        begin = end
+    return found
+
+
+def _report(said: _Said, row: int, days: "_Days", received_s: float | None) -> Report | Why:
     if said.where is None:
         return Why.NO_POSITION
     if said.time_s is None:
@@ -116,7 +166,7 @@ def _report(said: _Said, row: int, days: "_Days") -> Report | Why:
     address = "" if said.address == NO_ADDRESS else said.address
     return Report(
         row,
-        days(said.time_s),
+        days(said.time_s, received_s),
         address,
         said.number,
         *said.where,
@@ -126,16 +176,29 @@ def _report(said: _Said, row: int, days: "_Days") -> Report | Why:
 
 
 class _Days:
-    """Times since midnight as times of a recording, which passes midnight."""
+    """Times since midnight as times of a recording, which passes midnight: since 1970 where packets say the day."""
 
     def __init__(self) -> None:
-        self._last: float | None = None
+        self._last: float | None = None  # time of the record before, s
+        self._offset: float | None = None  # s by which the first packet came after the time of its record
 
-    def __call__(self, time_s: float) -> float:
-        if self._last is not None:
+    def __call__(self, time_s: float, received_s: float | None) -> float:
+        if received_s is not None:
+            if self._offset is None:
+                self._offset = (received_s - time_s + HALF_S) % DAY_S - HALF_S
+            time_s += DAY_S * round((received_s - self._offset - time_s) / DAY_S)
+        elif self._last is not None:
             time_s += DAY_S * round((self._last - time_s) / DAY_S)
         self._last = time_s
         return time_s
+
+    @property
+    def note(self) -> str:
+        """Where the days are from."""
+        if self._offset is None:
+            return "ASTERIX has no date: times are since midnight UTC of the first day"
+        came = f", which came {self._offset / 60.0:.0f} min after what their records say"
+        return f"ASTERIX has no date: the day is that of the packets{came if abs(self._offset) > APART_S else ''}"
 
 
 def _part(record: Any, *path: str) -> Any:

@@ -6,19 +6,14 @@ from typing import IO
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.place import Place
-from cogradar.services.skies.readers import text, unpacked
-from cogradar.services.skies.readers.asterix import is_asterix, read_asterix
+from cogradar.services.skies.readers import packets, text, unpacked
+from cogradar.services.skies.readers.asterix import is_asterix, read_asterix, read_packets
 from cogradar.services.skies.readers.receiver import read_json, read_parquet
 from cogradar.services.skies.readers.report import Report, Tally
 from cogradar.shared.scenario.faults import printable
 
 MOST_FILES = 100_000  # of a folder
 _CURES = {
-    **dict.fromkeys(
-        (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x0a\x0d\x0d\x0a"),
-        "a capture of packets: take the data out of the packets, such as"
-        " tshark -r FILE -T fields -e udp.payload | xxd -r -p > FILE.ast",
-    ),
     b"SQLite format 3\0": "an SQLite database: export the table of positions as CSV",
     b"\x89HDF": "an HDF5 file: export it as Parquet or CSV",
     b"CDF": "a NetCDF file: export it as Parquet or CSV",
@@ -72,6 +67,8 @@ def _of_stream(file: Path, stream: IO[bytes], head: bytes, place: Place, tally: 
     """The reports of a file that begins so."""
     if head.startswith(b"PAR1"):
         yield from read_parquet(file, stream, tally)
+    elif packets.is_capture(head):
+        yield from read_packets(file, stream, tally, place)
     elif is_asterix(head):
         yield from read_asterix(file, stream, tally, place)
     elif head.decode(text.encoding(head), "replace").lstrip("\ufeff \t\r\n")[:1] in ("{", "["):

@@ -307,7 +307,7 @@ def test_a_part_may_be_selected(tmp_path: Path) -> None:
         (b"\x04\x22\x4d\x18\0\0\0", "is compressed with LZ4: decompress it first, lz4 -d p.csv"),
         (gzip.compress(gzip.compress(b"")), "is compressed twice: decompress it once"),
         (bytes(257) + b"ustar\0" + bytes(249), "is a tar archive: unpack it, tar -xf p.csv, and name the folder"),
-        (b"\xd4\xc3\xb2\xa1\0\0\0", "is a capture of packets: take the data out of the packets"),
+        (b"\xd4\xc3\xb2\xa1\0\0\0", "is a capture of 0 packets without ASTERIX in UDP: it is empty"),
         (b"SQLite format 3\0", "is an SQLite database: export the table of positions as CSV"),
     ],
 )
