@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from enum import StrEnum
 from functools import partial
@@ -303,6 +304,9 @@ def feed(
     categories: Annotated[
         str, typer.Option(metavar="A,B", help="ASTERIX: 034 the radar, 048 its plots and tracks, 062 tracks.")
     ] = "034,062",
+    tasks: Annotated[
+        bool, typer.Option("--tasks", help="SAPIENT: command the run as tasks ask, with a commander's certificate.")
+    ] = False,
 ) -> None:
     """Send the tracks of a run to other systems: maps, displays, control centres.
 
@@ -314,12 +318,16 @@ def feed(
     from cogradar.services.feed import feed as feeding
     from cogradar.services.feed.asterix import Source
     from cogradar.services.feed.picture import Wanted
+    from cogradar.services.feed.sapient.tasking import Commander
     from cogradar.services.feed.source import live, recorded, site_from
     from cogradar.services.metrics import client as asking
 
-    with command(zenoh_config=zenoh_config) as stop:
+    with command(zenoh_config=zenoh_config) as stop, ExitStack() as opened:
         kind, check, notify = feeding.kind_of(to), partial(check_stop, stop), partial(say, console=err)
-        form = kind.make(feeding.Options(Source(sac, sic), categories, stale))
+        if tasks and (store is not None or not kind.takes_tasks):
+            raise BadInput("--tasks: only --to sapient takes them, of a run that goes on")
+        commander = opened.enter_context(closing(Commander(connect))) if tasks else None
+        form = kind.make(feeding.Options(Source(sac, sic), categories, stale, commander, notify))
         way = kind.way(where, form, notify)
         try:
             wanted = Wanted(tentative, form.wants_plots, None if site is None else site_from(site))

@@ -1,4 +1,4 @@
-"""Tracks for other systems: formats turn pictures of the air into bytes, transports send these; it only listens.
+"""Tracks for other systems: formats turn pictures of the air into bytes, transports send these.
 
-Never here: anything that a run waits for, and coordinates (`cogradar.services.skies.place`).
+Never here: anything that a run waits for, coordinates (`cogradar.services.skies.place`), how a run is commanded.
 """

@@ -12,7 +12,7 @@ from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.errors import BadInput
 from cogradar.services.feed.feed import FORMATS, Options
 from cogradar.services.feed.picture import PARTS, Picture, Pictures
-from cogradar.services.feed.sapient import Sapient, acceptance
+from cogradar.services.feed.sapient.node import Sapient, acceptance
 from cogradar.shared.protocol.messages import Plan, Waveform
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.scenario import SiteSection

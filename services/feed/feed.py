@@ -12,7 +12,8 @@ from cogradar.services.feed.cot import CursorOnTarget
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture
-from cogradar.services.feed.sapient import Sapient
+from cogradar.services.feed.sapient.node import Sapient
+from cogradar.services.feed.sapient.tasking import Command
 from cogradar.services.feed.transport import Transport, transport
 from cogradar.shared.scenario.plugins.kinds import FEED
 from cogradar.shared.scenario.plugins.names import PluginError, PluginFailed, PluginRefused, names_of
@@ -26,6 +27,8 @@ class Options(NamedTuple):
     source: Source = Source(0, 1)  # of ASTERIX
     categories: str = DEFAULT
     stale_s: float = 10.0  # of Cursor on Target
+    command: Command | None = None  # for tasks of SAPIENT; None: they are refused
+    notify: Callable[[str], None] = lambda _: None  # of what is received and dropped
 
 
 class Kind(NamedTuple):
@@ -35,6 +38,7 @@ class Kind(NamedTuple):
     has_files: bool  # its outputs replace each other
     is_stream: bool  # its outputs can follow each other in a stream of bytes
     is_dialogue: bool = False  # the other side answers: it needs a connection
+    takes_tasks: bool = False  # ... and may ask something of the radar
 
     def way(self, out: str, form: Format, notify: Callable[[str], None]) -> Transport:
         """The transport that --out names. Raises BadInput."""
@@ -49,7 +53,13 @@ FORMATS: Mapping[str, Kind] = {
     ),
     "cot": Kind(lambda options: CursorOnTarget(options.stale_s), has_files=False, is_stream=True),
     "geojson": Kind(lambda _: GeoJson(), has_files=True, is_stream=True),
-    "sapient": Kind(lambda _: Sapient(), has_files=False, is_stream=True, is_dialogue=True),
+    "sapient": Kind(
+        lambda options: Sapient(options.command, options.notify),
+        has_files=False,
+        is_stream=True,
+        is_dialogue=True,
+        takes_tasks=True,
+    ),
 }
 
 

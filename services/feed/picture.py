@@ -95,6 +95,8 @@ class Picture(NamedTuple):
     plots: tuple[Plot, ...] = ()  # of the dwell, if they are wanted
     is_last: bool = False  # of its run
     is_timed: bool = False  # `utc_s` is of the dwell; else of when it was heard
+    k: int = -1  # dwell, as commands count
+    is_paused: bool = False
 
     def without_tracks(self) -> "Picture":
         """The picture after the end of the run, or of the feed."""
@@ -205,6 +207,8 @@ class Pictures:
             t=t,
             utc_s=utc_s if stated_s is None else stated_s,
             is_timed=stated_s is not None,
+            k=waveform.k,
+            is_paused=waveform.isotropic == 0.0 and not waveform.factor.any(),
             period_s=dt_s,
             site=self._site,
             is_simulated=self._scenario.world is not None,

@@ -16,6 +16,7 @@ from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
 from cogradar.services.runs.cancel import ANSWER_WITHIN_S, POLL_S
 from cogradar.shared.protocol.messages import Command
+from cogradar.shared.protocol.orders import Action
 from cogradar.shared.protocol.permissions import COMMANDER
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.protocol.words.orders import parsed
@@ -28,18 +29,26 @@ WITHIN_S = 5.0
 
 
 def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> dict[str, Any]:
-    """Command a run on services that are up, in words; the row that `commands` has of it, granted.
-
-    Raises NoMetrics if nobody answers, BadInput if the words are no action, there is no such run, it is over, the
-    certificate is another role's, or the recorder refuses, RunFailed if nobody confirms.
-    """
+    """Command a run on services that are up, in words. Raises as `order_on`, and BadInput if they are no action."""
     try:
         action = parsed(words)
     except ValueError as error:
         raise BadInput(str(error)) from None
-    certificate = own.check(endpoint, (Role.OPERATOR, COMMANDER))
+    return order_on(endpoint, run, action, at)
+
+
+def order_on(endpoint: str, run: str, action: Action, at: int = 0, asker: str = "") -> dict[str, Any]:
+    """Command a run on services that are up; the row that `commands` has of it, granted.
+
+    asker : for whom it is commanded, if not for oneself
+
+    Raises NoMetrics if nobody answers, BadInput if there is no such run, it is over, the certificate is another role's,
+    or the recorder refuses, RunFailed if nobody confirms.
+    """
+    by = check_commander(endpoint) or _user()
+    by = f"{by[: 94 - len(asker)]} for {asker}" if asker else by
     try:
-        command = Command(run=run, id=uuid.uuid4().hex, by=certificate or _user(), action=action, at=at)
+        command = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=at)
     except ValidationError as error:  # what is no name of a run
         raise BadInput(explain(error, Command)) from None
     try:
@@ -57,6 +66,11 @@ def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> di
     if row["state"] == "refused":
         raise BadInput(f"{run}: refused: {row['reason']}")
     return row
+
+
+def check_commander(endpoint: str) -> str:
+    """The name on the certificate that is shown there; empty: none is. Raises BadInput if it may not command."""
+    return own.check(endpoint, (Role.OPERATOR, COMMANDER))
 
 
 def _check(session: Session, command: Command) -> None:

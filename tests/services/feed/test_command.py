@@ -99,6 +99,8 @@ def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
         (("--to", "asterisk", *out), "--to asterisk: must be one of"),
         (("--to", "asterix", "--categories", "48", "--out", "-", "--store", file), "must be some of 034, 048, 062"),
         (("--to", "geojson", without, *out), "has no [site]"),
+        (("--to", "geojson", "--tasks", "--out", str(tmp_path)), "--tasks: only --to sapient takes them"),
+        (("--to", "sapient", "--tasks", "--out", "tcp://127.0.0.1:9", "--store", file), "of a run that goes on"),
         (("--to", "geojson", "nothing", *out), "no such run"),
         (("--to", "geojson", "--site", "48,11", *out), "must be LATITUDE,LONGITUDE,HEIGHT,BEARING"),
         (("--to", "geojson", "--site", "148,11,0,60", *out), "latitude_deg: input should be less than or equal to 90"),

@@ -86,6 +86,17 @@ def test_the_time_is_the_front_ends_where_it_knows_it(sky: list[Message], wanted
     assert [picture.is_timed for picture in found] == [k != 20 for k in range(DWELLS)]
 
 
+def test_a_pause_is_seen_in_the_waveform(sky: list[Message]) -> None:
+    silent = {"isotropic": 0.0}
+    said = [
+        m.model_copy(update=silent | {"factor": m.factor[:, :0]}) if isinstance(m, Waveform) and m.k == 20 else m
+        for m in sky
+    ]
+    found = pictures_of(said)
+    assert [picture.k for picture in found] == list(range(DWELLS))
+    assert [picture.k for picture in found if picture.is_paused] == [20]
+
+
 def test_tracks_are_told_from_confirmation_to_their_end(sky: list[Message]) -> None:
     plans = [message for message in sky if isinstance(message, Plan)]
     waveforms = {message.k: message for message in sky if isinstance(message, Waveform)}

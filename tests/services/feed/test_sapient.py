@@ -11,7 +11,8 @@ from sapient_msg.bsi_flex_335_v2_0.status_report_pb2 import StatusReport
 from sapient_msg_pydantic.bsi_flex_335_v2_0.sapient_message import SapientMessage
 
 from cogradar.services.errors import RunFailed
-from cogradar.services.feed.sapient import NO_TASKS, STATUS_S, Sapient
+from cogradar.services.feed.sapient.node import STATUS_S, Sapient
+from cogradar.services.feed.sapient.tasking import NO_TASKS
 from cogradar.services.feed.transport import Tcp
 from tests.services.feed.made import SITE, UTC_S, crowd, picture, track
 
@@ -43,7 +44,7 @@ def sent(form: Sapient, *made: Any) -> list[Any]:
 
 
 def registered() -> Sapient:
-    form = Sapient()
+    form = Sapient(None, print)
     assert sent(form, picture(t=0)) == []
     (hello,) = messages(form.greeting())
     assert hello.registration.icd_version == "BSI Flex 335 v2.0"
@@ -87,11 +88,11 @@ def test_the_status_is_told_now_and_then() -> None:
 
 
 def test_nothing_is_reported_before_the_radar_is_accepted() -> None:
-    form = Sapient()
+    form = Sapient(None, print)
     assert sent(form, picture(track(1))) == []
     with pytest.raises(RunFailed, match="refused: 'no room'"):
         form.answer(framed(registration_ack={"acceptance": False, "ack_response_reason": ["no room"]}))
-    with pytest.raises(RunFailed, match="at most"):
+    with pytest.raises(ConnectionError, match="at most"):
         form.answer(b"\xff\xff\xff\xff")
 
 
@@ -109,7 +110,7 @@ def test_another_run_registers_anew() -> None:
 
 def test_over_a_connection_it_registers_waits_and_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cogradar.services.feed.transport.RETRY_S", 0.0)
-    form = Sapient()
+    form = Sapient(None, print)
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(5.0)
         way = Tcp("127.0.0.1", server.getsockname()[1], form, print)

@@ -1,11 +1,13 @@
-"""SAPIENT (BSI Flex 335 v2.0): the radar as a node that registers, says how it is, and reports its tracks.
+"""The radar as a node: it registers, says how it is, reports its tracks, and acknowledges tasks.
 
 A message is framed by its length, 4 octets, the lowest first. Identifiers of reports and objects are ULIDs
 (https://github.com/ulid/spec), those of nodes are UUIDs. The messages are those of the package `sapient-proto`.
 """
 
 import os
-from collections.abc import Iterator
+import re
+from collections import deque
+from collections.abc import Callable, Iterator
 from hashlib import blake2b
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
@@ -15,26 +17,34 @@ import numpy as np
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.output import Format, Output
 from cogradar.services.feed.picture import Picture, Track
+from cogradar.services.feed.sapient.tasking import COMPLETED, MAX_TASKS, Ack, Command, Tasking
+from cogradar.services.feed.sapient.tasks import LOOK_S, MODE, PAUSED
+from cogradar.shared.protocol.words.orders import forms
 from cogradar.shared.scenario.scenario import SiteSection
 
 VERSION = "BSI Flex 335 v2.0"
 STATUS_S = 5.0  # of the dwells' time, between reports of the radar's status
-MODE = "search and track"
 MAX_BYTES = 1 << 20  # of a message that is answered
 FIELD_DEG = 180.0  # of view, around the boresight
 SEEN = "time since detection"
 DEGREE_M = 6_371_000.0 * np.pi / 180.0  # along a meridian
-NO_TASKS = "this radar takes no tasks by SAPIENT; use `cogradar command` with the certificate of a commander"
+NOTICE_S = 0.5  # until a command takes effect, in real time
 # Of the enumerations of units and datums: degrees and metres on the ellipsoid WGS 84, degrees from true north, m/s.
 _WGS84 = _DEGREES = _TRUE_NORTH = _M_S = 1
 _LETTERS = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+_TOLD = {"registration", "status"}  # requests of no commander
+_ULID = re.compile(f"[{_LETTERS}{_LETTERS.lower()}]{{26}}")
 
 
 class Sapient(Format):
     """A report for each track in each picture, once the other side has accepted the radar; a last one when it ends."""
 
-    def __init__(self) -> None:
-        """Raises BadInput if the package with the messages is missing."""
+    def __init__(self, command: Command | None, notify: Callable[[str], None]) -> None:
+        """Raises BadInput if the package with the messages is missing.
+
+        command : sends the commands of tasks; None: tasks are refused
+        notify : is told of messages that are dropped
+        """
         try:
             from sapient_msg.bsi_flex_335_v2_0 import sapient_message_pb2
         except ImportError:
@@ -42,42 +52,52 @@ class Sapient(Format):
         self._message = sapient_message_pb2.SapientMessage
         self._newest: Picture | None = None
         self._shown: dict[str, Track] = {}  # by object
-        self._is_accepted = self._is_told = False
-        self._status_s = float("-inf")
+        self._is_accepted = False
+        self._status_s, self._told = float("-inf"), ("", "")  # of the newest status: when, mode and task
         self._heard = b""
+        self._tasking, self._acks = Tasking(command), deque[Ack](maxlen=4 * MAX_TASKS)
+        self._notify, self._dropped = notify, 0
 
     def encode(self, picture: Picture) -> list[Output]:
         """Reports, each a message. Raises RunFailed if the other side refuses the radar."""
         before, self._newest = self._newest, picture
+        shown = {_object(picture.run, track.number): track for track in picture.tracks}
+        self._acks += self._tasking.due(picture, shown)
         if before is not None and before.run != picture.run:
-            return [Output(self.greeting())]  # the radar has said goodbye; it may be elsewhere now
+            self._forget()
+            return [Output(self._registration(picture))]  # the radar has said goodbye; it may be elsewhere now
         if not self._is_accepted:
             return []
-        shown = {_object(picture.run, track.number): track for track in picture.tracks}
         ended = [(name, track) for name, track in self._shown.items() if name not in shown]
         self._shown = shown
-        found = list(self._status(picture))
+        found = [Output(self._acknowledged(picture, ack)) for ack in self._acks]
+        self._acks.clear()
+        found += self._status(picture)
         found += [self._report(picture, name, track, is_lost=True) for name, track in ended]
         return found + [self._report(picture, name, track, is_lost=False) for name, track in shown.items()]
 
     def greeting(self) -> bytes:
         """The registration; what was told on another connection is told anew. Nothing is known before a picture."""
-        self._is_accepted = self._is_told = False
-        self._status_s, self._heard, self._shown = float("-inf"), b"", {}
-        if self._newest is None:
-            return b""
-        message = self._begun(self._newest)
-        _register(message.registration, self._newest)
-        return _framed(message)
+        self._forget()
+        self._heard = b""
+        return b"" if self._newest is None else self._registration(self._newest)
+
+    def _forget(self) -> None:
+        """Begin anew with the other side; tasks go on."""
+        self._is_accepted, self._shown = False, {}
+        self._status_s, self._told = float("-inf"), ("", "")
 
     def answer(self, data: bytes) -> bytes:
-        """What is to be said to what the other side said: tasks are refused. Raises RunFailed, as `encode`."""
+        """What is to be said at once to what the other side said. A message that makes no sense is dropped.
+
+        Raises RunFailed if the radar is refused, ConnectionError if the connection is no use any more.
+        """
         self._heard += data
         said = b""
         while len(self._heard) >= 4:
             n = int.from_bytes(self._heard[:4], "little")
             if n > MAX_BYTES:
-                raise RunFailed(f"SAPIENT: a message of {n} bytes, at most {MAX_BYTES} are read")
+                raise ConnectionError(f"a message of {n} bytes was announced, at most {MAX_BYTES} are read")
             if len(self._heard) < 4 + n:
                 break
             payload, self._heard = self._heard[4 : 4 + n], self._heard[4 + n :]
@@ -89,21 +109,51 @@ class Sapient(Format):
 
         try:
             message = self._message.FromString(payload)
-        except DecodeError as error:
-            raise RunFailed(f"SAPIENT: what was received is no message: {error}") from None
+        except DecodeError:
+            return self._drop(f"{len(payload)} bytes that are no message")
         if message.HasField("registration_ack"):
             if not message.registration_ack.acceptance:
                 reasons = "; ".join(message.registration_ack.ack_response_reason) or "without a reason"
                 raise RunFailed(f"SAPIENT: the radar was refused: {reasons[:300]!r}")
             self._is_accepted = True
-        if message.HasField("task") and self._newest is not None:
-            said = self._begun(self._newest)
-            said.destination_id = message.node_id
-            said.task_ack.task_id = message.task.task_id
-            said.task_ack.task_status = said.task_ack.TASK_STATUS_REJECTED
-            said.task_ack.reason.append(NO_TASKS)
-            return _framed(said)
+        if message.HasField("error"):
+            reasons = "; ".join(message.error.error_message)
+            return self._drop(f"the other side reports an error: {reasons[:300]!r}")
+        return self._task(message, self._newest) if message.HasField("task") else b""
+
+    def _task(self, message: Any, picture: Picture | None) -> bytes:
+        """What is to be said of a task at once."""
+        name = message.task.task_id
+        if picture is None or message.destination_id.lower() not in {"", _node(picture.site)}:
+            return self._drop("a task for another node, or before the radar has registered")
+        if not _ULID.fullmatch(name):
+            return self._drop(f"a task whose identifier is no ULID: {name[:40]!r}")
+        asked = message.task.command.request.strip().lower()
+        if message.task.control == message.task.CONTROL_START and asked in _TOLD:
+            self._status_s = float("-inf")  # with the next picture
+            ack = self._acknowledged(picture, Ack(message.node_id, name, COMPLETED, f"{asked} is told"))
+            return (self._registration(picture) if asked == "registration" else b"") + ack
+        at_once = self._tasking.take(message.node_id, message.task, picture, self._shown)
+        return b"" if at_once is None else self._acknowledged(picture, at_once)
+
+    def _drop(self, what: str) -> bytes:
+        """Count what is dropped, and tell of the first, the tenth, the hundredth..."""
+        self._dropped += 1
+        if str(self._dropped).rstrip("0") == "1":
+            self._notify(f"SAPIENT: {what}; {self._dropped} messages dropped so far")
         return b""
+
+    def _registration(self, picture: Picture) -> bytes:
+        message = self._begun(picture)
+        _register(message.registration, picture, self._tasking.most)
+        return _framed(message)
+
+    def _acknowledged(self, picture: Picture, ack: Ack) -> bytes:
+        message = self._begun(picture)
+        message.destination_id = ack.node
+        message.task_ack.task_id, message.task_ack.task_status = ack.task, ack.status
+        message.task_ack.reason.append(ack.reason)
+        return _framed(message)
 
     def _begun(self, picture: Picture) -> Any:
         message = self._message(node_id=_node(picture.site))
@@ -111,14 +161,18 @@ class Sapient(Format):
         return message
 
     def _status(self, picture: Picture) -> Iterator[Output]:
-        if not picture.is_last and 0.0 <= picture.utc_s - self._status_s < STATUS_S:
+        told = PAUSED if picture.is_paused else MODE, self._tasking.active
+        if told == self._told and not picture.is_last and 0.0 <= picture.utc_s - self._status_s < STATUS_S:
             return
         self._status_s = float("-inf") if picture.is_last else picture.utc_s
         message = self._begun(picture)
         status, site = message.status_report, picture.site
-        status.report_id, status.mode = _ulid(picture.utc_s, os.urandom(10)), MODE
+        status.report_id, status.mode = _ulid(picture.utc_s, os.urandom(10)), told[0]
+        if told[1]:
+            status.active_task_id = told[1]
         status.system = status.SYSTEM_GOODBYE if picture.is_last else status.SYSTEM_OK
-        status.info, self._is_told = status.INFO_UNCHANGED if self._is_told else status.INFO_NEW, True
+        status.info = status.INFO_UNCHANGED if told == self._told else status.INFO_NEW
+        self._told = told
         _place(status.node_location, site.latitude_deg, site.longitude_deg)
         status.node_location.z = site.height_m
         view = status.field_of_view.range_bearing
@@ -150,28 +204,49 @@ def acceptance() -> bytes:
     return _framed(sapient_message_pb2.SapientMessage(registration_ack={"acceptance": True}))
 
 
-def _register(registration: Any, picture: Picture) -> None:
-    """Say what the radar is and what it reports."""
+def _register(registration: Any, picture: Picture, most: int) -> None:
+    """Say what the radar is, what it reports, and which tasks it takes; most : tasks that may go on at a time."""
     registration.icd_version, registration.name = VERSION, "cogradar"
     registration.node_definition.add(node_type=registration.NODE_TYPE_RADAR)
     registration.capabilities.add(category="radar", type="tracks", value="horizontal")
     registration.config_data.add(manufacturer="cogradar", model="simulated" if picture.is_simulated else "radar")
     status = registration.status_definition
     status.status_interval.units, status.status_interval.value = registration.TIME_UNITS_SECONDS, STATUS_S
-    mode = registration.mode_definition.add(mode_name=MODE, mode_type=registration.MODE_TYPE_PERMANENT)
-    mode.settle_time.units, mode.settle_time.value = registration.TIME_UNITS_SECONDS, 0.0
-    mode.scan_type, mode.tracking_type = registration.SCAN_TYPE_STEERABLE, registration.TRACKING_TYPE_TRACK
-    detection = mode.detection_definition.add()
+    for name in (MODE, PAUSED) if most else (MODE,):
+        mode = registration.mode_definition.add(mode_name=name)
+        mode.mode_type = registration.MODE_TYPE_PERMANENT if name == MODE else registration.MODE_TYPE_TEMPORARY
+        mode.settle_time.units, mode.settle_time.value = registration.TIME_UNITS_SECONDS, 0.0
+        mode.scan_type, mode.tracking_type = registration.SCAN_TYPE_STEERABLE, registration.TRACKING_TYPE_TRACK
+        _define_detections(registration, mode.detection_definition.add())
+        _define_tasks(registration, mode.task, most)
+
+
+def _define_detections(registration: Any, detection: Any) -> None:
     detection.location_type.location_units, detection.location_type.location_datum = _DEGREES, _WGS84
     detection.velocity_type.enu_velocity_units.east_north_rate_units = _M_S
     detection.velocity_type.location_datum = _WGS84
     error = detection.geometric_error
     error.type, error.units, error.variation_type = "standard deviation", "degrees", "each report"
     detection.detection_report.add(category=registration.DETECTION_REPORT_CATEGORY_TRACK, type=SEEN, units="s")
-    mode.task.concurrent_tasks = 0
-    region = mode.task.region_definition
+
+
+def _define_tasks(registration: Any, task: Any, most: int) -> None:
+    task.concurrent_tasks = most
+    region = task.region_definition  # mandatory, also without tasks
     region.region_type.append(registration.REGION_TYPE_AREA_OF_INTEREST)
     region.region_area.add(range_bearing_units=_DEGREES, range_bearing_datum=_TRUE_NORTH)
+    if not most:
+        return
+    region.region_type.append(registration.REGION_TYPE_IGNORE)
+    region.region_area.add(location_units=_DEGREES, location_datum=_WGS84)
+    for kind, units, seconds in (
+        (registration.COMMAND_TYPE_LOOK_AT, "degrees from true north, or latitude and longitude", LOOK_S),
+        (registration.COMMAND_TYPE_FOLLOW, "object of a detection report", NOTICE_S),
+        (registration.COMMAND_TYPE_MODE_CHANGE, f"{MODE}; {PAUSED}", NOTICE_S),
+        (registration.COMMAND_TYPE_REQUEST, "; ".join(("Registration", "Status", "Start", "Stop", *forms())), NOTICE_S),
+    ):
+        offered = task.command.add(type=kind, units=units)
+        offered.completion_time.units, offered.completion_time.value = registration.TIME_UNITS_SECONDS, seconds
 
 
 def _place(location: Any, latitude: float, longitude: float) -> None:
