@@ -134,7 +134,7 @@ def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
 
 
 def guarded(make: Any, call: Caller) -> Callable[[Settings], FrontEnd]:
-    """A class, or a function, that makes front ends; what these raise is the business of who drives them."""
+    """A class, or a function, that makes front ends; the caller handles what these raise."""
     if not callable(make):
         raise PluginRefused(f"{call.short}: must be a class or a function (settings) -> FrontEnd")
     lacking = [method for method in ("transmit", "close") if isinstance(make, type) and not hasattr(make, method)]

@@ -1,6 +1,6 @@
 """The heartbeat of a process: a file that it writes each second as long as it is well, with what troubles it.
 
-Who looks after the process looks how old the file is (deploy/container/healthy.sh): some milliseconds. To ask over the
+A supervisor of the process looks how old the file is (deploy/container/healthy.sh): some milliseconds. To ask over the
 network took a Python that loads Zenoh, a second of processor each time.
 """
 

@@ -100,7 +100,7 @@ def _compile(report: Callable[[str], None], stop: threading.Event | None) -> Non
 
 
 def _mark() -> None:
-    """Mark the kernels as complete and in use today; remove those that nobody has used for UNUSED_DAYS."""
+    """Mark the kernels as complete and in use today; remove kernels that were unused for UNUSED_DAYS."""
     (CACHE_DIR / "complete").touch()
     oldest = time.time() - UNUSED_DAYS * 86400.0
     for folder in CACHE_DIR.parent.glob("kernels-*"):
@@ -120,7 +120,7 @@ def _lock() -> None:
         return
     for n in range(MAX_USERS):
         file = os.open(CACHE_DIR / f"in-use.{n}", os.O_WRONLY | os.O_CREAT)
-        with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
+        with suppress(OSError):  # a file system without locks cannot tell that a folder is free, either
             if not lock_descriptor(file, blocking=False):
                 os.close(file)
                 continue

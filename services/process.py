@@ -142,12 +142,12 @@ def _close(bus: ZenohBus) -> None:
 
 
 def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> Claim | None:
-    """Raise BadInput if one process alone plays a role, and somebody does; name those of other builds.
+    """Raise BadInput if one process alone plays a role, and another one does; name processes of other builds.
 
     Two recorders would keep two journals of one run, two front ends transmit. Returns the claim of a process that is
     alone, which must be shown as long as it lives.
     """
-    is_alone = not service.scalable and service.role is not Role.OPERATOR  # who only begins runs may be many
+    is_alone = not service.scalable and service.role is not Role.OPERATOR  # there may be many operators
     claim = _claimed(service.role, start.name, session, check) if is_alone else None
     there = alive(session, build())
     for stranger in there.strangers:

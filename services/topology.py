@@ -1,4 +1,4 @@
-"""Who runs: every process of the system on one page."""
+"""What runs: every process of the system on one page."""
 
 import threading
 from collections.abc import Callable

@@ -74,9 +74,9 @@ class _Run:
 class AllocatorCore:
     """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
-    In lockstep a waveform is a function of its dwell's scan and plans, and of the orders of that dwell: an allocator
-    that comes back needs no more than those of the dwells that are not acknowledged yet, which are sent again, and the
-    orders, which each checkpoint says.
+    In lockstep a waveform is a function of the scan, plans and orders of its dwell. An allocator that comes back needs
+    no more than these, for the dwells that are not acknowledged yet. Scans and plans are sent again, and each
+    checkpoint says the orders.
     """
 
     def __init__(self, name: str = "allocator") -> None:
@@ -232,7 +232,7 @@ def _answer(run: _Run, k: int) -> Sequence[Message]:
     if run.pacing.loses_dwells:
         run.forget(k + 1)
     due = AFTER_WAVEFORM if any(plan.k == k for plan in update.plans) else AFTER_COASTING
-    # While targets are acquired there is nothing to extrapolate, and a dwell in which nothing was measured is none: the
-    # radar repeats it, and an allocator that went on by the clock would be ahead of it.
+    # While targets are acquired there is nothing to extrapolate, and a dwell in which nothing was measured does not
+    # count. The radar repeats it, and an allocator that went on by the clock would be ahead of it.
     run.expect(k + 1, due if answer.tracking else None)
     return run.resend.add(k, (answer,))

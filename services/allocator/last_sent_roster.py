@@ -5,7 +5,7 @@ have begun since. So the allocator continues the roster that it has sent itself,
 track began until a plan for that track has come.
 
 An allocator that has just come back has sent nothing, and the last rosters of its predecessor may be in no scan yet. It
-continues the scan's roster and begins no track before a scan carries a roster of its own: the front end takes no older
+continues the scan's roster and begins no track before a scan carries a roster of its own. The front end takes no older
 waveform after that, so no predecessor can have given the next id to another track.
 """
 

@@ -1,4 +1,4 @@
-"""The tracks after a dwell: those of the dwell before, less the ones that ended, and births.
+"""The tracks after a dwell: the tracks of the dwell before, without the ended ones, and births.
 
 With an unknown number of targets it is a function of a scan and of the plans that follow it. A detection that no track
 claims begins a tentative track, which is illuminated in the very next dwell. Of two tracks that follow one target the
@@ -151,7 +151,7 @@ def _one_each(
     """Without the younger of two tracks of one target, or the one that is not confirmed.
 
     is_told : (M,) of which the scan tells something. Beliefs of two others only grow broad, and would come to look like
-              those of one target.
+              beliefs of one target.
     """
     if len(plans) < 2:
         return list(plans)

@@ -1,9 +1,9 @@
 """A stored run fed into one core: does it answer today as it was recorded, bit for bit?
 
 A planner takes up tracks as in the run, with a clock that stands still: no search is cut short. The allocator gets the
-clock of lockstep. Of a run in real time this leaves out what depended on the clock: searches that a deadline cut short
-(of their plans, the bin and the number of simulations), waveforms of dwells without all plans in time, those after a
-scan of an older roster, and everything after a dwell whose scan is missing.
+clock of lockstep. For a run in real time this leaves out what depended on the clock. Of searches that a deadline cut
+short it leaves out the bin and the number of simulations. It leaves out waveforms of dwells without all plans in time,
+or after a scan of an older roster. It also leaves out everything after a dwell whose scan is missing.
 """
 
 from collections.abc import Callable, Sequence
@@ -65,7 +65,7 @@ class Replay:
 def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
     """Feed a run into a core until an answer differs. `report` is told how many dwells were fed.
 
-    Raises BadInput if the store has not what the core needs, as that of a campaign; PluginError if something of a
+    Raises BadInput if the store lacks what the core needs, as a campaign's store does; PluginError if something of a
     user's own cannot be loaded with the source that the run had.
     """
     if to not in CORES:
@@ -128,7 +128,7 @@ def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_c
     dropping = [one for one in given if one.k == k and isinstance(one.action, DropTrack)]
     rosters = _rosters([one for one in messages if isinstance(one, Scan)])
     born_ks = dict(zip(rosters[0].ids.tolist(), rosters[0].born_k.tolist(), strict=True)) if rosters else None
-    return [*of_tracks(in_force(given, k), born_ks), *dropping]  # without those of all tracks that there ever were
+    return [*of_tracks(in_force(given, k), born_ks), *dropping]  # without the births of all earlier tracks
 
 
 def _rosters(messages: Sequence[Message]) -> list[Roster]:

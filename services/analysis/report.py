@@ -1,7 +1,7 @@
 """What a store of runs shows: per strategy and target, with intervals, and strategies against each other.
 
 Two intervals of P_D: Wilson's takes every dwell as a trial of its own, which dwells of one run are not (a lost track
-misses them all), so it is too narrow; the other resamples whole runs (bootstrap) and is the one to quote. That one has
+misses them all), so it is too narrow. The other resamples whole runs (bootstrap) and is the one to quote. That one has
 no width where all runs agree: then Wilson's over the number of runs still holds. Errors are resampled over runs too.
 Differences are taken within a seed, where both strategies met the same targets and disturbance, and then resampled.
 """

@@ -242,6 +242,6 @@ def conflict_warning(conflicts: int) -> list[str]:
 
 
 def _table(title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "") -> Table:
-    """A table with those of the columns of which anything is known: of a single run there are no intervals."""
+    """A table with the columns that have values: a single run has no intervals."""
     shown = [in_metres(row) for row in rows]
     return Table(title, [c for c in columns if any(c.cell(row).strip("- ") for row in shown)], shown, group)

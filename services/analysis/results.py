@@ -100,7 +100,7 @@ class Snapshot:
 
 
 def read_results(store: Store, experiment: Experiment) -> Results:
-    """Complete runs of an experiment, those of the paper's own strategy first."""
+    """Complete runs of an experiment, first the paper's own strategy."""
     scenario = Scenario.model_validate(json.loads(experiment.document))
     others = [strategy for strategy in experiment.strategies if strategy not in set(Strategy)]
     known = [strategy.value for strategy in reversed(Strategy) if strategy in experiment.strategies]

@@ -64,8 +64,8 @@ class _TimingCore:
 
 
 def _dwell_times(stamps: dict[int, float], dwells: int) -> list[float]:
-    """Times from waveform to waveform over the tracking dwells, ms; those of the acquisition, which tests all cells,
-    come before. The first tracking waveform is the last answer to an acquisition scan.
+    """Times from waveform to waveform over the tracking dwells, ms. The acquisition, which tests all cells, comes
+    before. The first tracking waveform is the last answer to an acquisition scan.
     """
     tracking = [stamps[k] for k in sorted(stamps)][-dwells - 1 :]
     return [1e3 * (after - before) for before, after in pairwise(tracking)]

@@ -66,7 +66,7 @@ def joint_problem(n_target: int, i: int) -> tuple[Floats, Floats]:
 def requests(n_target: int, i: int, surplus: float = 1.0) -> Requests:
     """What tracks ask for in the i-th problem: cells and gains as in `joint_problem`, one track in ten astray.
 
-    surplus : of power, over what those of `joint_problem` have
+    surplus : of power, over `joint_problem`
     """
     nus, _ = allocation_problem(n_target, i)
     chances, gains = (column.reshape(n_target, 3) for column in joint_problem(n_target, i))

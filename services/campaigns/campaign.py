@@ -1,8 +1,8 @@
 """Campaigns: scenarios played by several strategies over many seeds, on a pool of workers, into one store.
 
-A run is a function of (scenario, strategy, seed), so it does not matter who plays it or when: an interrupted campaign
-goes on with the runs that are missing. Seeds are the same for all scenarios and strategies, and random numbers are
-keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
+A run is a function of (scenario, strategy, seed), so it does not matter where or when it is made: an interrupted
+campaign goes on with the runs that are missing. Seeds are the same for all scenarios and strategies, and random numbers
+are keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
 
 Kept of each run: its row, with the digest over all its messages; its scores; and the waveforms of three dwells
 (`snapshots`), for the beampatterns. All its messages would take about 3 MB; they come back with `cogradar run`.
@@ -164,7 +164,7 @@ def _play_on(
 
 
 def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
-    """SHA-256 over all results of a store, or of these runs, bit for bit, whoever played what; without their ids."""
+    """SHA-256 over all results of a store, or of these runs, bit for bit, without their ids; equal on all machines."""
     total = hashlib.sha256()
     for run in store.read(
         "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run"

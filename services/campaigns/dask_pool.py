@@ -52,7 +52,7 @@ def cluster(
 ) -> Iterator[DaskPool]:
     """The pool behind the scheduler at `address`, whose workers have all played `trial`, or its first dwells.
 
-    Raises RunFailed if nobody answers or there is no worker, BadInput with a line for every worker that is not fit.
+    Raises RunFailed if no scheduler answers or there is no worker, BadInput with a line for every unfit worker.
     """
     try:
         client = Client(address, timeout=CONNECT_WITHIN_S, set_as_default=False)

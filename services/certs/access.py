@@ -20,7 +20,7 @@ _FLOWS: dict[Act, tuple[tuple[str, tuple[str, ...]], ...]] = {
 
 
 def access_control(names: Sequence[str]) -> dict[str, Any]:
-    """Access control for these certificates: each may do what its role's part in the system is, nobody else anything.
+    """Access control for these certificates: each may do what its role does in the system, others may do nothing.
 
     A role without a certificate is left out: an empty list of names would stand for everybody. Planners of the same
     slots are one subject.

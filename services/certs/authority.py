@@ -1,7 +1,7 @@
 """A private authority in a folder, and the certificates that it issues.
 
-FOLDER/ca.key, ca.crt: the authority. FOLDER/ROLE.NAME/zenoh.json5: all that one process needs, and nobody else may
-read: its key, its certificate and the authority's, as Zenoh takes them. FOLDER/allowed: the names, for the router.
+FOLDER/ca.key, ca.crt: the authority. FOLDER/ROLE.NAME/zenoh.json5: all that one process needs, unreadable for others:
+its key, its certificate and the authority's, as Zenoh takes them. FOLDER/allowed: the names, for the router.
 """
 
 import datetime
@@ -29,7 +29,7 @@ EARLIER = datetime.timedelta(minutes=5)  # clocks differ
 
 
 class Authority(NamedTuple):
-    """Who signs."""
+    """The authority: its key and certificate."""
 
     key: ec.EllipticCurvePrivateKey
     certificate: x509.Certificate
@@ -86,7 +86,7 @@ def end_of(certificate: bytes) -> float:
 
 
 def name_on(certificate: bytes) -> str:
-    """The name on a certificate, PEM; empty on those of others' authorities. Raises BadInput if it is none."""
+    """The name on a certificate, PEM; empty if another authority issued it. Raises BadInput if it is none."""
     found = _read(certificate)
     try:
         issuer, name = (
@@ -108,7 +108,7 @@ def _read(certificate: bytes) -> x509.Certificate:
 def _issue(folder: Path, authority: Authority, name: str, hosts: Sequence[str], days: int) -> Path:
     is_router = holder_of(name) == Role.ROUTER
     key = ec.generate_private_key(ec.SECP256R1())
-    # Who has no part but to connect cannot pass for a router.
+    # A process whose only part is to connect cannot pass for a router.
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if is_router else [])]
     builder = (
         _dated(_name(name), days)

@@ -48,5 +48,5 @@ def allowed(file: str) -> list[str]:
                 raise BadInput(f"--allow {file}, line {number}: {error}") from None
             names.append(name)
     if not names:
-        raise BadInput(f"--allow {file}: no name in it, so nobody could connect")
+        raise BadInput(f"--allow {file}: no name in it, so no process could connect")
     return list(dict.fromkeys(names))

@@ -9,7 +9,7 @@ from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.session import BadConfig, own_certificate
 
-ASKING = (Role.OPERATOR, Role.METRICS, *WATCHING)  # who may ask metrics
+ASKING = (Role.OPERATOR, Role.METRICS, *WATCHING)  # roles that may ask metrics
 
 
 def process_name(role: Role, name: str, endpoints: str) -> str:
@@ -36,7 +36,7 @@ def check(endpoints: str, holders: Collection[str], side: str = "connect") -> st
     name = authority.name_on(certificate)
     if name and holder_of(name) not in holders:
         needed = " or ".join(f"{holder}.NAME" for holder in holders)
-        raise BadInput(f"--zenoh-config: its certificate is that of {name}; this needs one of {needed}")
+        raise BadInput(f"--zenoh-config: its certificate is {name}'s; this needs one of {needed}")
     return name
 
 

@@ -184,7 +184,7 @@ def play(
     from cogradar.services.cli.display import CampaignDisplay, campaign_caption
 
     if dask and workers:
-        raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
+        raise BadInput("--workers: counts workers of this machine; a Dask cluster has its own")
     kept = campaigns.open_store(file, asked, resume=resume)
     with ExitStack() as on_failure, CampaignDisplay(console) as display:
         on_failure.callback(kept.close)

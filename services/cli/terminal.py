@@ -50,9 +50,9 @@ def print_tables(console: Console, tables: Sequence[Table], width: int | None = 
 def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
     """The lines of a table, none wider than `width`.
 
-    If the columns do not fit side by side: their headings are broken; a single row becomes a list of its values; of
-    several rows, what is the same in all goes into a line of its own; and if that is not enough, the last columns are
-    left out, and named.
+    If the columns do not fit side by side, their headings are broken. A single row becomes a list of its values. Of
+    several rows, what is the same in all goes into a line of its own. If that is not enough, the last columns are left
+    out, and named.
     """
     title = [_title(table.title)] if table.title else []
     if not table.rows:

@@ -39,8 +39,8 @@ from cogradar.shared.scenario.combinations import check_combination
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 
-# Of MAX_ORDERS, so many are kept free for what must not wait: for the end, for a pause or its end and for a limit that
-# are to take effect at once, and for whatever is to take effect at once.
+# Of MAX_ORDERS, so many are kept free for what must not wait. These are the end of a run, a pause or its end and a
+# limit that take effect at once, and other orders that take effect at once.
 FOR_END, FOR_PAUSES, FOR_LIMITS, FOR_NOW = 1, 16, 15, 8
 NEEDS = {"priority": "priorities", "accuracy": "accuracies"}
 URGENT_COMMANDS = 500  # of all that a run may ever have, for pauses, their ends and limits
@@ -54,7 +54,7 @@ class Moment:
     acknowledged_k: int
     last_k: int  # dwell, if it goes on to its end
     tracks: Collection[int]  # that are there
-    plans: Mapping[int, Plan]  # newest ones, of those of which one has come
+    plans: Mapping[int, Plan]  # newest ones, of tracks with a plan
     is_acquiring: bool  # a known number of targets: the dwell after the newest one may wait until it is measured
 
 

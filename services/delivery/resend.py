@@ -51,9 +51,9 @@ class ResendBuffer:
     def again(self, *, drained: bool) -> list[Message]:
         """What the recorder wants again and has not acknowledged since, in the order of the dwells.
 
-        Nothing before all is handled that waited when it asked: who is behind has only just sent it. That is so if no
-        message has waited since (`drained`), or if it asks again after a tick: its inbox is long, but what it has sent
-        since does not help.
+        Nothing before all is handled that waited when it asked: a process that is behind has only just sent it. That is
+        so if no message has waited since (`drained`), or if it asks again after a tick: its inbox is long, but what it
+        has sent since does not help.
         """
         if self._asked is None:
             return []

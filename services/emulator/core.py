@@ -130,7 +130,7 @@ class EmulatorCore:
             case Tick():
                 self._ticked_s = event.now_s
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
-                self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
+                self._inactivity.note(answers)  # in real time the radar goes on, though no other process is left
                 return answers + [m for run in self._runs.values() for m in run.resend.again(drained=event.drained)]
             case _:
                 pass

@@ -93,7 +93,7 @@ def _of_beams(
     roster: Roster,
     alert: float,
 ) -> set[_Place]:
-    """Where beams are: those of tracks, each with its gate, and those of the search.
+    """Where beams are: beams of tracks, each with its gate, and of the search.
 
     What confirms a tentative track has the P_FA of the search, all its looks of a dwell together.
 
@@ -202,7 +202,7 @@ def _unmeasured(radar: RadarConfig, asked: Transmission, measured: ScanData) -> 
 
 
 def _named(look: Look) -> tuple[float, tuple[int, ...]]:
-    """What one row is reported of: a look, or all those of a bin that are merged."""
+    """What one row is reported of: a look, or all merged looks of a bin."""
     return (look.bin, ()) if look.is_merged else (look.nu, (*look.cells[:1], *look.cells[-1:]))
 
 

@@ -1,6 +1,6 @@
 """The protocol of a front end: what transmits a waveform and returns what its receiver measured.
 
-Whoever has a real receiver writes one class with `transmit` and `close` and names it to the emulator
+For a real receiver write one class with `transmit` and `close` and name it to the emulator
 (docs/howto/front-end.md). Pacing, recovery and messages are the business of `cogradar.services.emulator.core`, the same
 for all.
 
@@ -74,7 +74,7 @@ class Transmission:
     isotropic: float  # >= 0, power spread evenly over all directions
     factor: NDArray[np.complex128]  # (n_tx, r), F, one column per beam
     beams: NDArray[np.int32]  # (M, L) bins of each track's beams; -1: none (further), all during acquisition
-    bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
+    bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else the beams' cells
     looks: Sequence[Look]  # the same with direction, range cells and limit; with range cells, all bins have two each
     nus: NDArray[np.float64]  # (M, L) directions of `beams`, of bins their centres; 0 where there is none
     gates: NDArray[np.float64]  # (M, 2) ranges to be tested for each track, km; (0, 0): all
@@ -105,7 +105,7 @@ class ScanData:
     beams: NDArray[np.int32] | None = None  # (M, L) where the beams really were; None: where they were asked for
     # Needed with steered cells: by direction, and there may be several of one look
     # (`cogradar.shared.signal.looks.reported`). Of bins they say nothing new, and are not sent.
-    nus: NDArray[np.float64] | None = None  # (n,) directions of the cells, those of the looks
+    nus: NDArray[np.float64] | None = None  # (n,) directions of the cells, as of the looks
     limits: NDArray[np.float64] | None = None  # (n,) what the statistic was compared with
     ranges_km: NDArray[np.float64] | None = None  # (n,) centre of the range cell; 0: there are none
     nu_hats: NDArray[np.float64] | None = None  # (n,) measured direction of the echo,
@@ -235,8 +235,8 @@ def calibrate(
 class FrontEnd(Protocol):
     """One run's transmitter and receiver.
 
-    Dwells come in order. After the process was restarted, or its recorder has lost the newest part of the journal, a
-    new front end is opened and goes on at the dwell after the acknowledged ones: dwell k may then be transmitted
+    Dwells come in order. A new front end is opened after a restart of the process, or after its recorder has lost the
+    newest part of the journal. It goes on at the dwell after the acknowledged ones: dwell k may then be transmitted
     again. Hardware cannot go back; it transmits dwell k again and measures it anew. Its readers keep the measurement
     that reached them first. While transmission is paused by a command, dwells are passed over.
 

@@ -39,7 +39,7 @@ class Counts:
     senseless: int = 0  # scans that were refused
     dwells: int = 0  # in which nothing was measured
     asked: int = 0  # looks
-    looks: int = 0  # ... that were not measured, those of these dwells included
+    looks: int = 0  # ... that were not measured, with the looks of these dwells
 
 
 class KeptOpen:

@@ -15,7 +15,7 @@ from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanDa
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 FIRST_S = 30.0  # for calls up to the first dwell after opening, which may have to load much
-CLOSE_S = 10.0  # at least, to switch it off: at the end of the process nobody does so any more
+CLOSE_S = 10.0  # at least, to switch it off: at the end of the process it would stay on
 MOST_LEFT = 8  # threads that hang, after which no further front end is opened
 Answers = queue.SimpleQueue[tuple[Any, Exception | None]]
 

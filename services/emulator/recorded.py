@@ -1,8 +1,8 @@
 """The recorded front end: plays the scans of a stored run back, whatever is to be transmitted (open loop).
 
 Where the loop is the one that was recorded, its waveforms are those that were radiated then, and the run comes out as
-it was. Another planner sees the recorded scans and beams, not those of its own waveforms; where nobody knows how many
-targets there are, also the recorded tracks, whose beams they are.
+it was. Another planner sees the recorded scans and beams, not the results of its own waveforms. With an unknown number
+of targets it also sees the recorded tracks, whose beams they are.
 """
 
 from collections.abc import Callable

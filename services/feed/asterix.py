@@ -1,8 +1,8 @@
 """ASTERIX, EUROCONTROL's format of surveillance data: category 034 (ed. 1.29, the radar), 048 (ed. 1.32, plots and
 tracks of a radar) and 062 (ed. 1.20, tracks of a system).
 
-Records of a kind have one layout, so that NumPy packs those of a picture together: 1 000 tracks in less than 1 ms. The
-library `libasterix` takes 0.9 ms for each; the tests read with it what is written here.
+Records of a kind have one layout, so that NumPy packs all records of a picture together: 1 000 tracks in less than 1
+ms. The library `libasterix` takes 0.9 ms for each; the tests read with it what is written here.
 """
 
 from collections import deque
@@ -116,7 +116,7 @@ class Source(NamedTuple):
 
 
 class Numbers:
-    """Numbers of 12 bits for tracks. That of a track that has ended rests before another one has it."""
+    """Numbers of 12 bits for tracks. The number of an ended track rests before another track has it."""
 
     def __init__(self) -> None:
         self._of: dict[int, int] = {}

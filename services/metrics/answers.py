@@ -74,7 +74,7 @@ def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
 
 
 def _errors(row: dict[str, Any]) -> dict[str, float | None]:
-    """Errors over those of the dwells that were summed in which there was a track."""
+    """Errors over the summed dwells with a track."""
     squares = {
         "position_rmse_km": _mean(row, "position", over="tracked"),
         "velocity_rmse_km_s": _mean(row, "velocity", over="tracked"),

@@ -1,8 +1,8 @@
 """Metrics: answers people's questions about runs, from the journal that the recorder writes on the same file system.
 
-It keeps nothing that it could not read again, so that it may be killed at any time, and it sends nothing but commands
-of those who ask over HTTP: whatever it does takes no time from a run. Checkpoints tell it when there is more to read.
-Other threads may read its store.
+It keeps nothing that it could not read again, so that it may be killed at any time. It sends nothing but commands that
+come over HTTP, and takes no time from a run. Checkpoints tell it when there is more to read. Other threads may read its
+store.
 """
 
 import json

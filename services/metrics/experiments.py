@@ -32,7 +32,7 @@ class Experiment:
 
     @property
     def is_unknown(self) -> bool:
-        """Whether nobody told the radar how many targets there are."""
+        """Whether the radar was not told how many targets there are."""
         return self.complete[0]["n_track"] is None
 
     @property

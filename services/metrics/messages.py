@@ -76,7 +76,7 @@ def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
 def commands(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     """One row per command of a run: who asked for what, when, and what became of it.
 
-    Parameters: those of a selection, without target and dwells; state = "open". Raises BadInput.
+    Parameters as of a selection, without target and dwells; state = "open". Raises BadInput.
     """
     parameters = dict(parameters)
     state = parameters.pop("state", None)

@@ -30,7 +30,7 @@ MAX_PROCESSES = 1000  # whose answers are shown
 DROPPED = "Answers of a process to this scrape that were dropped: too long, no metrics, or of no process of ours."
 UP = (
     "1 if a process answered; 0 if it shows itself alive and did not answer within two seconds,"
-    " and 0 without a name if nobody plays a role."
+    " and 0 without a name if a role has no process."
 )
 Process = tuple[str, str]  # role and name
 Counts = dict[tuple[str, str, str], float]  # by sample, topic, and upper edge in a histogram; "": none
@@ -40,7 +40,7 @@ NEEDED = [role for role in Role if role is not Role.OPERATOR]  # of operators th
 
 @dataclass(frozen=True)
 class Gathered:
-    """What all processes answered; and who is alive and did not, or, without a name, is a role that nobody plays."""
+    """What all processes answered, which ones are alive and did not, and, without a name, roles without a process."""
 
     answers: dict[Process, list[Metric]]
     silent: set[Process]

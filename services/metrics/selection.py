@@ -101,7 +101,7 @@ def distinct(store: Store, selection: Selection) -> list[Run]:
     """The runs that a selection allows, in the order in which they began; of equal ones the newest complete one.
 
     Equal are runs of one scenario document, strategy, seed and number of dwells: to pool them would count the same
-    random numbers twice. Those of one scenario document and number of dwells have one number as their `experiment`.
+    random numbers twice. Runs of one scenario document and number of dwells have one number as their `experiment`.
     """
     condition, values = selection.of_runs
     runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY rowid", values)

@@ -25,7 +25,7 @@ from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
 
-AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
+AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: a client that asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
 KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
 

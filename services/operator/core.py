@@ -51,7 +51,7 @@ class OperatorCore:
         return ()
 
     def leave(self) -> Sequence[Message]:
-        """End the run: nobody would begin another one after it. One without an end goes on."""
+        """End the run: no other one would begin after it. A run without an end goes on."""
         return () if not self._run or self._is_endless else (RunCancel(run=self._run),)
 
     @property

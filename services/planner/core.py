@@ -1,9 +1,9 @@
 """Planner worker: owns the belief of some (run, track)s, answers each scan with a plan.
 
 Ownership is a hint, not a lock: two owners publish the same plan twice and the allocator takes one. A track is a
-function of the scans, so a new owner rebuilds it: from the scans it has, else from those that it asks to be recalled,
-which are those since the track's last snapshot. Meanwhile the old owner goes on, if it is there. A worker whose tracks
-bring no plans, alive or not, owns nothing of that run for a while.
+function of the scans, so a new owner rebuilds it. It takes the scans it has, or else asks for a recall of the scans
+since the track's last snapshot. Meanwhile the old owner goes on, if it is there. A worker whose tracks bring no plans,
+alive or not, owns nothing of that run for a while.
 """
 
 import itertools
@@ -49,7 +49,7 @@ class PlannerCore:
         self._name = name
         self._clock = clock
         self._workers: tuple[str, ...] = (name,)  # a bus tells of all of them before anything else
-        self._is_one_gone = False  # of those that were there since this one is: nobody offers its tracks
+        self._is_one_gone = False  # of the planners that were there since this one is: its tracks are not offered
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
         self._overdue: dict[str, dict[int, _Overdue]] = {}  # of a run, by track
@@ -83,7 +83,7 @@ class PlannerCore:
             yield from self._give_up(error)
 
     def _give_up(self, error: Unplanned) -> Sequence[Message]:
-        """A run whose rule failed: it would fail at whoever plans for it."""
+        """A run whose rule failed: it would fail in any planner."""
         log.error("%s: %s", error.run, error)
         self._forget(error.run)
         self._failed[error.run] = NoPlans.of(error.run, self._name, error, ends=True)
@@ -217,7 +217,7 @@ class PlannerCore:
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
         """Take the tracks of a run from the workers that bring no plans, if there are others.
 
-        A track that is overdue again is taken from more and more of them at once: names without a process, however
+        A track that is overdue again is taken from more and more of them at once. Names without a process, however
         many, cannot keep a run waiting, for in the end every worker plans for the track itself.
         """
         if not overdue or self._now_s < self._changed_s.get(name, -math.inf) + GRACE_S:
@@ -231,7 +231,7 @@ class PlannerCore:
             suspended.pop(self._name, None)
         for i in range(DEEPER**n):
             found = set(map(self._owner(name), overdue)) - {""}
-            if i > 0 or n > 1:  # whoever works this out is no mere name: it takes the track
+            if i > 0 or n > 1:  # a planner that works this out is no mere name: it takes the track
                 found.discard(self._name)
             if not found:
                 break
@@ -245,7 +245,7 @@ class PlannerCore:
         return self._own(name)
 
     def _forgive(self, name: str) -> None:
-        """Suspend nobody where all who may plan for some track are suspended."""
+        """Suspend none where all planners that may plan for some track are suspended."""
         suspended, alone = self._suspended.get(name, {}), list[int]()
         for m in self._runs[name].source.slots:  # a track of each slot
             able = [worker for worker in self._workers if may_plan(worker, m)]

@@ -9,7 +9,7 @@ from cogradar.shared.protocol.slots import N_SLOT, may_plan, slots_in, slots_of
 def capacity(worker: str, n_target: int, workers: Sequence[str]) -> int:
     """Most tracks of one run that a worker holds: its share of those that it may plan for, rounded up, and one more.
 
-    It shares them with all who may plan for some of them; others, however many, are nothing to it.
+    It shares them with all workers that may plan for some of them. Others, however many, do not matter.
     """
     slots = [slot for slot in slots_in(slots_of(worker)) if slot < n_target]
     n_able = sum(len(range(slot, n_target, N_SLOT)) for slot in slots)
@@ -18,9 +18,9 @@ def capacity(worker: str, n_target: int, workers: Sequence[str]) -> int:
 
 
 def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
-    """Worker of each track, the same whoever computes it; "" where nobody may plan for a track.
+    """Worker of each track, the same in each process; "" where no worker may plan for a track.
 
-    Each track prefers the workers in the order of their hashes with it, and each worker the tracks; a worker that is
+    Each track prefers the workers in the order of their hashes with it, and each worker the tracks. A worker that is
     asked by more than its capacity keeps the best (deferred acceptance: the outcome depends on no order). When a worker
     leaves, its tracks move, and few others: those that the bound had kept from a worker that now may take them, or now
     keeps from one (docs/adr/0007-bounded-ownership.md). A track whose workers are all full, as few may plan for it,

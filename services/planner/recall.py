@@ -36,7 +36,7 @@ class RecallRequest:
             self._offered.update(targets)
 
     def wait_no_longer(self) -> None:
-        """There may be nobody who could offer what is lacking."""
+        """There may be no planner left that could offer what is lacking."""
         self._awaited = 0
 
     def may_ask(self, target: int) -> bool:

@@ -73,7 +73,7 @@ class PlannedRun:
         return self.source.progress(self._scans)
 
     def await_no_offer(self) -> None:
-        """For some of the tracks there may be nobody who could offer them."""
+        """For some of the tracks there may be no planner left that could offer them."""
         self._recall.wait_no_longer()
 
     def own(self, choose: Choose) -> Iterable[Message | Flush]:
@@ -164,8 +164,8 @@ class PlannedRun:
     def _advance(self) -> Iterator[Message | Flush]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
-        Plans go out in batches: while this worker plans for the next tracks, the others read those of the last. In real
-        time all tracks are observed first; what is left of the time is for their searches, in equal parts.
+        Plans go out in batches: while this worker plans for the next tracks, the others read the plans of the last. In
+        real time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
         try:
             for plan in itertools.chain(self._search(), self._advance_tracks()):
@@ -228,7 +228,7 @@ class PlannedRun:
     def _rebuild(self, behind: list[int]) -> list[int]:
         """Advance tracks up to the newest scan, for a while. Returns those that are there; the others stay behind.
 
-        Dwell by dwell: those of one dwell share what is worked out of its scan.
+        Dwell by dwell: plans of one dwell share what is worked out of its scan.
         """
         until_s, caught_up = self._clock() + self._pacing.rebuild_s, list[int]()
         while behind:
@@ -316,7 +316,7 @@ class PlannedRun:
         )
 
     def _settings(self, k: int) -> tuple[RadarConfig, TrackerModel]:
-        """Radar and model by which it is decided after dwell k: those of that dwell, as commands have set them."""
+        """Radar and model for decisions after dwell k: of that dwell, as commands have set them."""
         scan = self._scans.get(k)
         if scan is None or scan.settings is None:
             return self.radar, self._model

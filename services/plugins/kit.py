@@ -124,7 +124,7 @@ def _behaviour(short: str, thing: Any, trial: Trial) -> Iterator[Finding]:
     first = [_plain(trial.call(thing, *case())) for _, case in trial.cases]
     yield Finding(short, "answers", f"make sense in {len(first)} cases", ok=True)
     random.seed(1)
-    np.random.seed(1)  # noqa: NPY002 - who draws from it is to be found out
+    np.random.seed(1)  # noqa: NPY002 - to find out a thing that draws from it
     before = random.getstate(), np.random.get_state()  # noqa: NPY002
     again = [_plain(trial.call(thing, *case())) for _, case in reversed(trial.cases)][::-1]
     differs = [words for (words, _), a, b in zip(trial.cases, first, again, strict=True) if a != b]

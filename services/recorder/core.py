@@ -1,4 +1,4 @@
-"""Recorder: journals every message, says by checkpoints how far each run is durable, recalls what nobody else keeps.
+"""Recorder: journals every message, says by checkpoints how far each run is durable, recalls what others do not keep.
 
 It leads: every process that comes late or comes back begins where the last checkpoint says. A checkpoint is sent only
 after the transaction that it acknowledges is committed, so that not even a power cut takes an acknowledgement back.
@@ -40,7 +40,7 @@ from cogradar.shared.wire.codec import BadMessage, decode, encode
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
 BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
-RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
+RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; a process that asked in vain asks again
 MAX_RUNS = 256  # that go on at a time
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
@@ -254,7 +254,7 @@ class RecorderCore:
         return ()
 
     def _take_of_other(self, message: OfDwell | Snapshot) -> Sequence[Message]:
-        """Keep a message of a run that is not known yet. Who transmits in one that is over has missed its end."""
+        """Keep a message of a run that is not known yet. A sender in a run that is over has missed its end."""
         if not self._knows(message.run):
             if not isinstance(message, Snapshot):
                 self._pending.add(message)
@@ -265,7 +265,7 @@ class RecorderCore:
         return self._repeat_end(message.run)
 
     def _keep(self, run: RecordedRun, snapshot: Snapshot) -> None:
-        """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it plans none of them."""
+        """Keep what a track was, unless a dwell up to then is incomplete: what goes on from it plans none of them."""
         if snapshot.k >= run.acknowledged[0]:
             raise Refused(f"snapshot of dwell {snapshot.k}, only those before {run.acknowledged[0]} are acknowledged")
         self._journal.set_snapshot(snapshot.run, snapshot.target + 1, snapshot.k, encode(snapshot))
@@ -285,7 +285,7 @@ class RecorderCore:
                 run.complete()
                 run.digest.advance(self._journal, run.k)
             if run.end is not None and run.is_over:
-                # Of a part of a run nobody needs the digest.
+                # The digest of a part of a run is not needed.
                 is_part = run.end.status == "stopped" or self._spans[run.start.run].first_k > 0
                 return self._finish(run, run.end, "" if is_part else run.digest.finish(self._journal))
         except Unreadable as error:
@@ -309,7 +309,7 @@ class RecorderCore:
         advanced = [run for run in self._runs.values() if run.k > run.acknowledged[0]]
         for run in advanced:
             self._journal.acknowledge(run.start.run, run.k, run.t)
-            if run.tracks is not None:  # nobody goes on from those that have ended
+            if run.tracks is not None:  # ended tracks are not continued
                 self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
             self._spans[run.start.run].cut(self._journal, run)
             for n in run.orders.end(run.k, run.known_k, run.born_ks):
@@ -345,7 +345,7 @@ class RecorderCore:
         return self._uncommitted_ticks >= COMMIT_TICKS
 
     def _repeated(self) -> list[Message]:
-        """Checkpoints of the runs that stand still: they ask for what is missing, and tell of the run whoever joins."""
+        """Checkpoints of the runs that stand still: they ask for what is missing, and tell new processes of the run."""
         asking = [run for run in self._runs.values() if run.wants_resend or run.wants_repeat or run.has_overdue]
         waiting = {run: run.wants_resend for run in asking}
         if not waiting:

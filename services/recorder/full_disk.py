@@ -3,7 +3,7 @@
 The disk is full, or the file was removed, replaced or made read-only. If the same file is back, nothing was lost. One
 in its place lacks what was acknowledged: a recorder that is started anew begins from it, as from any older journal.
 
-What was not committed when the disk was full is undone, and whoever sent it has kept it. So the recorder ends there, as
+What was not committed when the disk was full is undone, and its sender has kept it. So the recorder ends there, as
 if it had been killed, and another one begins where the journal is: the same way back as from any other fault. Runs in
 lockstep stand still meanwhile, as nothing is acknowledged. In real time the radar transmits on.
 """
@@ -111,7 +111,7 @@ class Recorder:
         return [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
 
     def _note(self, event: Event) -> None:
-        """Who cancels a run does not ask for it for ever."""
+        """A client does not repeat its request to cancel a run for ever."""
         if isinstance(event, RunCancel) and len(self._cancelled) < MAX_RUNS:
             self._cancelled.add(event.run)
 

@@ -35,7 +35,7 @@ class Retention:
     days: float | None = None
     hours: float | None = None
     bytes_of_run: int = 4_000_000_000
-    grace_s: int = 60  # any ended run is kept so long, for whoever began it to see its end
+    grace_s: int = 60  # any ended run is kept so long, for its client to see its end
 
 
 def order_of(row: dict[str, Any]) -> Order:
@@ -86,7 +86,7 @@ class Journal(Database):
             self.write("DELETE FROM run WHERE run = ?", row["run"])
 
     def delete_dropped(self) -> None:
-        """Delete some messages of a dropped run: so few that nobody waits for it. Their space is used again."""
+        """Delete some messages of a dropped run: so few that no other work waits for it. Their space is used again."""
         for row in self.read(
             "SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"
         ):
@@ -123,7 +123,7 @@ class Journal(Database):
         self.write("UPDATE run SET reason = ? WHERE run = ? AND status = 'running'", reason, run)
 
     def give_up_unfinished(self) -> None:
-        """Mark the runs that have not ended as failed: the lock is ours, so whoever played them is gone."""
+        """Mark the runs that have not ended as failed: the lock is ours, so their recorder is gone."""
         self._end("status = 'running'", (), "failed", INTERRUPTED, None)
 
     def add_conflict(self, run: str) -> None:

@@ -21,7 +21,7 @@ class OverduePlans:
 
     def hear_scan(self, k: int, tracks: Set[int]) -> None:
         """A dwell has tracks, which are to be planned for."""
-        if k > self._newest + MISSED:  # nobody could plan for what did not come
+        if k > self._newest + MISSED:  # no planner could plan for a scan that did not come
             self._planned, self._wait_s = {}, {}
         if k > self._newest:
             self._newest = k

@@ -33,8 +33,8 @@ from cogradar.shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # Ticks after which a checkpoint is repeated, for a process that joins: while it stands still; while others go on.
 REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
-# So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
-# and twice as long each time, since who only is slow would be slower with the tracks of others.
+# So long without the plan of a track, and its owner loses it. In lockstep it is longer where a dwell has taken long
+# before, and twice as long each time. A planner that only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
 OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
@@ -68,7 +68,7 @@ class RecordedRun:
         self.digest = RunDigest(start.run)
         self.k = k  # dwells that are complete
         self.t = t  # clock of the last one
-        self.acknowledged = (k, t)  # ... and those of the last checkpoint
+        self.acknowledged = (k, t)  # ... and as of the last checkpoint
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell

@@ -40,8 +40,8 @@ class RetransmitTimer:
     def learn(self) -> None:
         """The dwell is complete.
 
-        What comes soon after a request was lost, and nobody is slow; the later it comes, the less can be said. More
-        than two requests in a row were rather in vain. Who was slow a dwell ago may be so again.
+        What comes soon after a request was lost, and its sender is not slow; the later it comes, the less can be said.
+        More than two requests in a row were rather in vain. A process that was slow a dwell ago may be so again.
         """
         half = self._first // 2
         wait = max(SLOW * self._took + half * self.was_asked, half, self._longest // 4)

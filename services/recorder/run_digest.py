@@ -1,4 +1,4 @@
-"""The digest of a run, taken while the run goes on, so that at its end nobody waits for it."""
+"""The digest of a run, taken while the run goes on, so that it is there at the end without a wait."""
 
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.shared.wire.digest import DIGESTED, Digest

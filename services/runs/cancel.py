@@ -27,8 +27,8 @@ POLL_S = 0.1
 def cancel_on(endpoint: str, run: str) -> None:
     """Cancel a run on services that are up.
 
-    Raises NoMetrics if nobody answers, BadInput if there is no such run, it is over, or the certificate is another
-    role's, RunFailed if nobody confirms.
+    Raises NoMetrics if no metrics service answers, BadInput if there is no such run, it is over, or the certificate is
+    another role's, RunFailed without a confirmation.
     """
     own.check(endpoint, (Role.OPERATOR,))
     try:
@@ -63,7 +63,7 @@ def check_running(session: Session, run: str) -> None:
 
 
 def cancel(session: Session, bus: Bus, runs: Collection[str]) -> list[str]:
-    """Cancel these runs; returns those of which nobody confirmed within some seconds that they are over."""
+    """Cancel these runs; returns the runs whose end was not confirmed within some seconds."""
     left, deadline = list(runs), time.monotonic() + WITHIN_S
     while left and time.monotonic() < deadline:
         for run in left:
@@ -102,5 +102,5 @@ def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collect
 def _outcome(names: Collection[str], left: Collection[str]) -> str:
     if left:
         are, they = ("is", "it") if len(left) == 1 else ("are", "they")
-        return f"nobody confirmed that {', '.join(left)} {are} cancelled: {they} may go on"
+        return f"no confirmation that {', '.join(left)} {are} cancelled: {they} may go on"
     return f"{next(iter(names))} is cancelled" if len(names) == 1 else f"its {len(names)} runs are cancelled"

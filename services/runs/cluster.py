@@ -64,7 +64,8 @@ def play(
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)
         launcher.under_fire = True
-        # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
+        # A store that outlives the processes must not hold a run that seems to go on: the next process that opens it
+        # would continue it.
         kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
         if launcher.url is not None:
             notify(f"watch it: {launcher.url}/?run={start.run}")

@@ -35,7 +35,7 @@ def play(
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
 ) -> Result:
-    """Play one run to its end and score it; arguments and errors are those of `steps`."""
+    """Make one run to its end and score it; arguments and errors as of `steps`."""
     playing = steps(start, planners=planners, store=store, report=report, stop=stop, front_end=front_end)
     while True:
         try:
@@ -89,7 +89,7 @@ def steps(
             for dwell in dwells.complete(recorded):
                 if (chosen := (yield dwell)) is not None:
                     dwells.sent = chosen
-                    for _, bus in endpoints:  # nobody has read it: the allocator takes its turn last
+                    for _, bus in endpoints:  # no core has read it: the allocator takes its turn last
                         _replace(bus.queue, dwell.next, chosen)
             if report is not None and time.monotonic() >= next_report:
                 if (now := progress(ask, start)) is not None:

@@ -48,7 +48,7 @@ class LocalProcesses:
 
 
 def scratch() -> tempfile.TemporaryDirectory[str]:
-    """A temporary folder that says whose it is; those of processes of ours that were killed are removed."""
+    """A temporary folder that says whose it is. Folders of our killed processes are removed."""
     for folder in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
         owner = folder.name.removeprefix(SCRATCH).partition("-")[0]
         with suppress(OSError):

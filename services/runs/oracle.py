@@ -40,7 +40,7 @@ class Foresight:
     """Where the targets of a run will be, and which track is of which; one for all planners of the run."""
 
     def __init__(self, start: RunStart, front_end: str) -> None:
-        """Raises BadInput for a front end whose truth nobody knows beforehand."""
+        """Raises BadInput for a front end whose truth is not known beforehand."""
         scenario = Scenario.model_validate(start.scenario)
         rule = scenario.radar.planner.rule
         if scenario.world is None or front_end != Start.front_end:

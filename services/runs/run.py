@@ -83,7 +83,7 @@ class Result:
 
     @property
     def is_unknown(self) -> bool:
-        """Whether nobody told the radar how many targets there are."""
+        """Whether the radar was not told how many targets there are."""
         return self.run["tracks"] is None
 
     @property

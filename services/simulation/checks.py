@@ -96,7 +96,7 @@ def check_waveforms(starts: Sequence[RunStart], radiated: Iterable[Dwell], said:
     made = {(one.run, one.isotropic, one.factor.tobytes()) for one in said if isinstance(one, Waveform)}
     for dwell in radiated:
         if (dwell.run, dwell.isotropic, dwell.factor) not in made | first:
-            raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated with a waveform that nobody made for it")
+            raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated with a waveform that was not made for it")
 
 
 def check_pace(start: RunStart, radiated: Iterable[Dwell], quiet_s: float) -> None:

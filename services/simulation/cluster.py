@@ -1,7 +1,7 @@
 """The processes of a system in simulated time: the real cores, the network between them, and one queue of events.
 
 It stands in for what is not simulated: the main loop (`cogradar.shared.wire.runner.serve`), the transport, liveliness
-tokens, and whoever starts a process again that has ended.
+tokens, and the supervisor that restarts processes.
 """
 
 import heapq
@@ -73,7 +73,7 @@ class _Due:
 
 
 class Cluster:
-    """Processes by their keys: that of a twin is not its name."""
+    """Processes by their keys: a twin's key is not its name."""
 
     def __init__(
         self,
@@ -156,7 +156,7 @@ class Cluster:
                     self.at(at_s, partial(self._put, reader, Membership(Role.PLANNER, names)))
 
     def publish(self, sender: Process, message: Message) -> None:
-        """Send a message to all who read it."""
+        """Send a message to all its readers."""
         topic, payload = BY_MESSAGE[type(message)], encode(message)
         to = getattr(message, "to", None)
         self.said[payload] = message

@@ -61,7 +61,7 @@ class Disk:
 
     @property
     def journal(self) -> Journal:
-        """That of the recorder which is there."""
+        """The journal of the present recorder."""
         if self._journal is None:
             raise ValueError("there is no recorder")
         return self._journal
@@ -98,7 +98,7 @@ class Disk:
         before, old = self.path, self._journal
         self._life, self._journal = self._life + 1, None
         _copy(before, self.path)
-        if torn and self._rng.random() < 0.7:  # else all of it is there, and nobody was told
+        if torn and self._rng.random() < 0.7:  # else all of it is there, and no process was told
             log = _log(self.path)
             size = log.stat().st_size
             with log.open("r+b") as file:
@@ -186,7 +186,7 @@ class SimulatedJournal(Journal):
     def __init__(self, disk: Disk, wait: Callable[[float], None]) -> None:
         self._disk, self._wait = disk, wait
         super().__init__(str(disk.path))
-        self.read("PRAGMA busy_timeout = 0")  # nobody else goes on while one waits
+        self.read("PRAGMA busy_timeout = 0")  # no other process goes on while one waits
 
     def commit(self) -> None:
         """Make durable what was written, unless the power is cut."""

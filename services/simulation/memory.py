@@ -25,7 +25,7 @@ from cogradar.shared.wire.codec import decode, encode
 
 T = TypeVar("T")
 PACKAGES = ("cogradar.services.", "cogradar.shared.")
-# Those of which a result saves more time than its key takes to compute.
+# Functions whose stored result saves more time than its key takes to compute.
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
     decode,
     decide,

@@ -28,7 +28,7 @@ from cogradar.shared.protocol.orders import (
 )
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
-SCHEDULE = -1  # index of the generators that draw a schedule; those of its faults have their place in the list
+SCHEDULE = -1  # index of the generators that draw a schedule; a fault's index is its place in the list
 RATE_HZ = 10.0  # of runs in real time
 DWELLS = 8
 LONG_DWELLS, LONG = 150, 0.01  # of this share of the schedules in real time, in which all must be well again at the end
@@ -75,7 +75,7 @@ RARE = (Kind.BROKEN, Kind.UNSYNCED, Kind.REMOVED, Kind.GONE)  # drawn apart, one
 RARE_SHARE = 0.15
 DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
-# In real time nothing can be played again, by nobody twice.
+# In real time nothing can be repeated, and no role runs twice.
 _OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN})
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {

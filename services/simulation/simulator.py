@@ -241,7 +241,7 @@ class Simulator:
                 cluster.kill(fault.who)
                 (self._disk.restore if fault.kind is Kind.RESTORED else self._disk.cut_back)()
                 self._start(fault.who)
-                cluster.ask(self._starts, self._commands)  # who restores a journal begins the runs that it lacks
+                cluster.ask(self._starts, self._commands)  # runs that the journal lacks are begun again
             case _:
                 pass
 

@@ -1,6 +1,6 @@
 """What is played: small skies that are over in some dwells, in which all that a run can meet happens.
 
-They are small so that a schedule costs some milliseconds; nothing that runs is other code than that of a large one.
+They are small so that a schedule costs some milliseconds; a large sky would run the same code.
 """
 
 from functools import cache

@@ -178,7 +178,7 @@ def _strain(course: Course, i: NDArray[np.int64], j: NDArray[np.int64], limits: 
 def _beside(course: Course, apart: int) -> tuple[Floats, Floats, Floats]:
     """How far the inner rows are off the line between rows before and after, and by how much times differ there.
 
-    Returns x and y of the inner rows minus those of the line, (n - 2 apart, 2), and the product of both time steps.
+    Returns x and y of the inner rows minus the line's, (n - 2 apart, 2), and the product of both time steps.
     """
     t, at = course.t, np.column_stack((course.x, course.y))
     first, mid, last = slice(0, len(t) - 2 * apart), slice(apart, len(t) - apart), slice(2 * apart, len(t))

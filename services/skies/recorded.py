@@ -2,7 +2,7 @@
 
 A position becomes distance and azimuth from the radar along the ellipsoid (WGS 84): x along the boresight, y to the
 right of it. The altitude above the ellipsoid or the sea is the height over the plane of the array, if heights are asked
-for: the Earth's curvature, 0.8 km at a distance of 100 km, is not in it.
+for. The Earth's curvature, 0.8 km at a distance of 100 km, is not in it.
 """
 
 import csv

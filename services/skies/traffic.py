@@ -1,8 +1,8 @@
 """Made-up traffic: aircraft that arrive at random, follow airways, turn, and leave.
 
-Arrivals are a Poisson process that has gone on for ever: given how many aircraft there are to be, their times of
-arrival are independent and uniform, and those that are still there at the start have come before it. Each aircraft is
-drawn by its number alone: a sky of one more has all others as they were.
+Arrivals are a Poisson process that has gone on for ever. Given the number of aircraft, their times of arrival are
+independent and uniform. Aircraft that are there at the start have come before it. Each aircraft is drawn by its number
+alone: a sky of one more has all others as they were.
 """
 
 from math import cos, pi, sin
@@ -55,7 +55,7 @@ def traffic(n: int, seconds: int, range_km: float, seed: int) -> list[Target]:
 
 
 def _airway(range_km: float, seed: int, i: int) -> Airway:
-    """From the edge to the edge, or every other time to the array's line, behind which nobody looks."""
+    """From the edge to the edge, or every other time to the array's line, behind which the radar sees nothing."""
     rng = generator(seed, Purpose.SKY, -1, i)
     here = rng.uniform(-END, END)
     there = (here + END + rng.uniform(0.5, 1.0) * END) % (2.0 * END) - END

@@ -16,7 +16,7 @@ from cogradar.shared.scenario.scenario import MAX_TITLE, Scenario
 from cogradar.shared.scenario.tables import marked
 
 MAX_VARIANTS = 1000
-MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant
+MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in a variant's name
 OVER = (
     "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64, or KEY,KEY=VALUE,... for keys that change together"
 )

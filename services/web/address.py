@@ -34,11 +34,11 @@ class Admitted:
 
     hosts: Collection[str] | None = HERE  # that they are for; None: any
     token: str = ""  # that they show; empty: none
-    commanders: Mapping[str, str] = field(default_factory=dict)  # who may command, by the token that they show
+    commanders: Mapping[str, str] = field(default_factory=dict)  # names that may command, by the token that they show
     is_limited: bool = False  # whether each address may ask so often a second and no more
 
     def commander(self, shown: str) -> str:
-        """Who commands with this token; empty: nobody does."""
+        """The name that commands with this token; empty: none."""
         return next((name for token, name in self.commanders.items() if is_same(shown, token)), "")
 
     def is_known(self, shown: str) -> bool:
@@ -94,7 +94,7 @@ def allowed(listener: socket.socket, text: str) -> set[str] | None:
 
 
 def token() -> str:
-    """What whoever asks must show: what COGRADAR_HTTP_TOKEN says, or the first line of the file that
+    """The token that each request must show: COGRADAR_HTTP_TOKEN, or the first line of the file that
     COGRADAR_HTTP_TOKEN_FILE names; empty: nothing. Raises BadInput.
     """
     lines, source = _secrets(TOKEN_VARIABLE, TOKEN_FILE_VARIABLE)
@@ -105,8 +105,8 @@ def token() -> str:
 
 
 def commanders() -> dict[str, str]:
-    """Who may command runs, by token: NAME:TOKEN, several separated by commas, of COGRADAR_COMMAND_TOKENS, or a line
-    each of the file that COGRADAR_COMMAND_TOKENS_FILE names. Raises BadInput.
+    """The names that may command runs, by token: NAME:TOKEN, several separated by commas, of COGRADAR_COMMAND_TOKENS,
+    or a line each of the file that COGRADAR_COMMAND_TOKENS_FILE names. Raises BadInput.
     """
     lines, source = _secrets(COMMAND_VARIABLE, COMMAND_FILE_VARIABLE)
     found = dict[str, str]()
@@ -122,7 +122,7 @@ def commanders() -> dict[str, str]:
             raise BadInput(f"{source}: {found[shown]} and {name} have the same token: each must have its own")
         found[shown] = name
     if name := found.get(token(), ""):
-        raise BadInput(f"{source}: the token of {name} is that of all who read, {TOKEN_VARIABLE}: must be another one")
+        raise BadInput(f"{source}: the token of {name} is the reading token, {TOKEN_VARIABLE}: must be another one")
     return found
 
 

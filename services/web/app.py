@@ -1,4 +1,4 @@
-"""The application: what is served where, what is refused, and who is let go."""
+"""The application: what is served where, what is refused, and which clients are let go."""
 
 import asyncio
 import time
@@ -49,7 +49,7 @@ SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
 HEAD_WITHIN_S = 10.0  # the head of a request, or the connection is let go
 RATE_HZ, BURST = 100.0, 300.0  # requests from one address elsewhere
 MAX_ADDRESSES = 1000  # counted apart
-UNASKED = ("/healthz", "/readyz")  # that need no token: who starts processes asks them, and they tell nothing
+UNASKED = ("/healthz", "/readyz")  # that need no token: supervisors ask them, and they tell nothing
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
 
@@ -69,7 +69,7 @@ async def readyz(request: Request) -> Response:
 
 
 async def metrics(request: Request) -> Response:
-    """All processes, for Prometheus: they are asked once for all who ask meanwhile, which may take seconds."""
+    """All processes, for Prometheus: they are asked once for all requests meanwhile, which may take seconds."""
     gather = core_of(request).gather
     if gather is None:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router")
@@ -135,7 +135,7 @@ class Connection(H11Protocol):
     _head: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn has it
-        """Whoever writes waits until all is with the system: that alone bounds what is held for a client."""
+        """Writers block until the kernel has taken all bytes: that alone bounds what is held for a client."""
         super().connection_made(transport)
         transport.set_write_buffer_limits(high=0)
         self._await_head()
@@ -187,8 +187,8 @@ class Connection(H11Protocol):
 
 
 class _Guard:
-    """Refuses requests for other hosts, which a web page elsewhere may have been tricked into, those of other pages,
-    those without the token, too many of them, and endless queries.
+    """Refuses requests for other hosts, which a web page elsewhere may have been tricked into, requests from other
+    pages or without the token, too many requests, and endless queries.
     """
 
     def __init__(self, app: ASGIApp, admitted: Admitted) -> None:
@@ -217,7 +217,7 @@ class _Guard:
         return Problem(HTTPStatus.UNAUTHORIZED, detail, {"WWW-Authenticate": "Bearer"}).response()
 
     def _check(self, scope: Scope, headers: Mapping[str, str]) -> None:
-        """Raise Problem for what nobody may ask."""
+        """Raise Problem for an invalid or forbidden request."""
         if len(scope["query_string"]) > MAX_QUERY:
             raise Problem(HTTPStatus.REQUEST_URI_TOO_LONG, f"the query is longer than {MAX_QUERY} bytes")
         host, hosts = headers.get("host", ""), self._admitted.hosts

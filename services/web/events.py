@@ -1,6 +1,6 @@
 """Server-sent events: the dwells of a run, live and from the journal alike.
 
-A stream is a cursor on the journal and the few dwells that were read from there last: a client that reads slowly holds
+A stream is a cursor on the journal and the few dwells that were read from there last. A client that reads slowly holds
 no more, and `cogradar.services.web.app.Connection` lets go of one that does not read at all. Clients at the same dwell
 share what is read for them.
 """

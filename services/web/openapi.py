@@ -82,7 +82,7 @@ def describe() -> dict[str, Any]:
         "info": {
             "title": "cogradar",
             "version": version("cogradar"),
-            "description": "What the runs of a cognitive radar have come to. Columns are those of `cogradar query`.",
+            "description": "What the runs of a cognitive radar have come to. Columns as in `cogradar query`.",
         },
         "paths": paths,
         "components": {"schemas": definitions["$defs"]},

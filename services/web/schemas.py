@@ -290,13 +290,13 @@ class CommandDocument(Document):
 class ProcessRow(Document):
     """A process.
 
-    Times are over the last seconds, from the buckets of histograms: those of `dwell` and `margin` are within a quarter,
-    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
-    are since the process began.
+    Times are over the last seconds, from the buckets of histograms: `dwell` and `margin` are within a quarter,
+    `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts are since
+    the process began.
     """
 
     role: Role
-    name: str = Field(description="Empty: nobody plays this role.")
+    name: str = Field(description="Empty: this role has no process.")
     alive: bool = Field(description="Whether it answers.")
     dwells_per_s: float | None
     dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
@@ -317,7 +317,7 @@ class ProcessRow(Document):
 
 
 class Processes(Document):
-    """Every process, and who owns which track of the runs that go on."""
+    """Every process, and which tracks of the running runs it owns."""
 
     window_s: float | None = Field(description="That rates and times are over; null: since the processes began.")
     processes: list[ProcessRow]

@@ -71,7 +71,7 @@ class Server:
         self._thread.start()
         log.info("HTTP at %s", url(listener))
         if not (token or is_loopback(listener)):
-            log.warning("HTTP is open: whoever reaches it may read every run; %s asks for a token", TOKEN_VARIABLE)
+            log.warning("HTTP is open: any client may read every run; %s asks for a token", TOKEN_VARIABLE)
 
     @property
     def streams(self) -> int:

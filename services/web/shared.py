@@ -1,4 +1,4 @@
-"""Work that is done once for all who ask for the same: streams, scrapes, views."""
+"""Work that is done once for all equal requests: streams, scrapes, views."""
 
 import asyncio
 from collections import OrderedDict
@@ -15,10 +15,10 @@ VIEW_S = 0.5  # how long a view is given again
 
 
 class Shared:
-    """Work done in threads, once for all who ask for the same, and the results for some time after."""
+    """Work done in threads, once for all equal requests. Results are kept for some time after."""
 
     def __init__(self, for_s: float, limiter: CapacityLimiter | None = None) -> None:
-        """`limiter` has the threads; without it they are those of all answers."""
+        """`limiter` has the threads; without it, the threads of all answers are used."""
         self._for_s, self._limiter = for_s, limiter
         self._results: OrderedDict[Any, tuple[float, asyncio.Future[Any]]] = OrderedDict()
 
@@ -36,7 +36,7 @@ class Shared:
 
 
 def once(view: Callable[[Request], Response], by: str = "views") -> Callable[[Request], Awaitable[Response]]:
-    """A view that is made once for all who ask for the same at the same time; `by` names the application's Shared."""
+    """A view that is made once for all equal requests at the same time; `by` names the application's Shared."""
 
     @wraps(view)
     async def answered(request: Request) -> Response:

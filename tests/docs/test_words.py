@@ -31,6 +31,8 @@ EXCEPTIONS = re.compile(
     r"|\b(?:so|say|said|says|told|know|knows|aware|sure|means|is|all|think) that of\b",
     re.IGNORECASE,
 )
+SQL = re.compile(r"\bSELECT\b|\bCREATE TABLE\b|\bCOALESCE\b")
+ITEM = re.compile(r"\n\s*\n|\n(?=\s*[\w.,* ()]{1,40} : )")  # "name : text" is an item of a list
 ROOTS = ("cogradar", "services", "shared", "studies", "docs", "deploy")
 
 # What is left. Lower a number when you lower the count.
@@ -60,15 +62,20 @@ def sentences(text: str) -> Iterator[str]:
 
 
 def texts_of(source: str) -> Iterator[str]:
-    """Docstrings, other texts and comments of a program; adjacent lines of comments are one."""
+    """Docstrings, other texts and comments of a program. Each item of a list of names or symbols is one, SQL is none.
+
+    A comment goes on in lines of its own. A comment behind code begins anew: fields have one each.
+    """
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
-            yield from re.split(r"\n\s*\n", node.value)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and not SQL.search(node.value):
+            for text in ITEM.split(node.value):
+                yield from text.split(";") if "Symbols:" in text else [text]
     comment: list[str] = []
     last = 0
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            if token.start[0] != last + 1:
+            behind_code = token.line[: token.start[1]].strip()
+            if behind_code or token.start[0] != last + 1:
                 yield " ".join(comment)
                 comment = []
             comment.append(token.string.lstrip("# "))

@@ -10,7 +10,7 @@ ALL: Dwells = (None, None)
 
 
 def is_among(t: Any, dwells: Dwells) -> Any:
-    """Whether a dwell t is one of these, or each of an array; those of the acquisition are 0."""
+    """Whether a dwell t is one of these, or each of an array; dwells of the acquisition are 0."""
     first, last = dwells
     return (t >= (first or 0)) & ((last is None) | (t <= (last or 0)))
 

@@ -1,7 +1,7 @@
 """Messages and scores of a run as arrays. T dwells, M targets, L bins.
 
 Scans by angle bin, and of each target the row that is about it; waveforms as they were radiated; scores by target, and
-those of all targets together.
+of all targets together.
 """
 
 from collections.abc import Iterable, Sequence

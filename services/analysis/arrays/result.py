@@ -326,7 +326,7 @@ class Result:
     def detections(self, *, all_looks: bool = False) -> records.Records:
         """Every tested cell over its limit, or all tested cells: direction, range, statistic, limit, amplitude, sigma.
 
-        The columns are those of `cogradar.services.analysis.arrays.records.detections`.
+        Columns as in `cogradar.services.analysis.arrays.records.detections`.
         """
         truths = {truth.k: truth for truth in self._stored_of(Truth)} if self.has_truth else None
         return records.detections(self.scenario.radar, self._stored_of(Scan), truths, all_looks=all_looks)

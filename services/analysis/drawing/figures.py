@@ -142,7 +142,7 @@ def _draw_accuracy(column: NDArray[Any], results: Results, m: int, drawn: dict[s
 def _draw_p_d(axes: Axes, results: Results, strategy: str, m: int, look: Look) -> None:
     """Share of runs in which target m was detected, over a running window.
 
-    The band is Wilson's 95 % interval for as many trials as there are runs: the dwells of a window are not
+    The band is Wilson's 95 % interval for as many trials as there are runs. The dwells of a window are not
     independent (a lost track misses them all), so more trials than that cannot be claimed.
     """
     detected = results.runs[strategy].detected[:, :, m]

@@ -10,7 +10,7 @@ from cogradar.services.analysis.drawing.looks import looks
 from cogradar.services.analysis.results import Results
 from cogradar.services.metrics.store import Store
 
-PARTS = ("GOSPA", "localisation", "missed", "false")  # the squares of the last three add up to that of the first
+PARTS = ("GOSPA", "localisation", "missed", "false")  # the squares of the last three add up to the square of the first
 _SQUARES = "AVG(localisation_km2 + missed_km2 + false_km2), AVG(localisation_km2), AVG(missed_km2), AVG(false_km2)"
 
 

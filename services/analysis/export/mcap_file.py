@@ -122,7 +122,7 @@ def _objects(rows: Records) -> Iterator[Message]:
 
 
 def _scene(now: Moment) -> Said:
-    """All that is drawn in place of what was drawn: whoever jumps to a dwell sees that one."""
+    """All that is drawn in place of what was drawn: a viewer that jumps to a dwell shows that one."""
     entities = [
         {
             "timestamp": now.timestamp,

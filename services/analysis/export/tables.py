@@ -33,7 +33,7 @@ FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 # What a run with announced tracks adds to the rows of its targets.
 NO_TRACKS = Tracks.of((), (), (), np.empty((0, 0)))
 UNITS = (("_km_s", "km/s"), ("_km2", "km2"), ("_km", "km"), ("_deg", "degree"), ("_db", "dB"), ("_s", "s"))  # by suffix
-# By name; g is not that of UDUNITS, in which it is the gram.
+# By name; in UDUNITS, g would be the gram.
 NAMED = {"utc_s": "seconds since 1970-01-01", "acceleration_g": "standard_free_fall"}
 STATES = {"x": "km", "y": "km", "z": "km", "vx": "km/s", "vy": "km/s"}
 Table = dict[str, NDArray[Any]]  # (n, ...) each: numbers, with NaN for what is unknown, or texts
@@ -81,17 +81,17 @@ class _Rows:
 
 
 def scores(result: Result) -> Table:
-    """The columns of a run, rows in the order of dwell and target; of tracks of an unknown number in that of `_Rows`.
+    """The columns of a run, rows in the order of dwell and target; with an unknown number as of `_Rows`.
 
     `track` is 0 without a track, `target` 0 of a track of none. Angles are from boresight, nu = 0.5 sin(angle); without
-    _hat they are the target's. `statistic`, `alpha_hat`, `sigma_hat` and what else was measured are those of a cell
-    that holds the target, without truth that of the track's brightest beam; NaN if none was reported. `detected` is of
-    that cell, or of the one that a track of an unknown number asked for. `hit`: the true bin, or within half a bin of
-    it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that the track
-    has been out of it. Of a target that is not there, or of no target, bins are -1, and states NaN; flags of no target
-    are -1. `gospa_km`, its parts and `ospa_km` are of all targets together. With a `[site]`
-    there are latitudes and longitudes; there is `utc_s` if it says when the run begins, or the front end says the time.
-    Without truth, or scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
+    _hat they are the target's. `statistic`, `alpha_hat`, `sigma_hat` and other measurements are from a cell that holds
+    the target, without truth from the track's brightest beam; NaN if none was reported. `detected` is of that cell, or
+    of the one that a track of an unknown number asked for. `hit`: the true bin, or within half a bin of it, was lit for
+    the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that the track has been out of
+    it. Of a target that is not there, or of no target, bins are -1, and states NaN; flags of no target are -1.
+    `gospa_km`, its parts and `ospa_km` are of all targets together. With a `[site]` there are latitudes and longitudes;
+    there is `utc_s` if it says when the run begins, or the front end says the time. Without truth, or scans in the
+    store, what needs them is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")

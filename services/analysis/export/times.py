@@ -25,7 +25,7 @@ def timed(dwells: Iterable[Dwell], epoch_s: float = 0.0, acquisition_scans: int 
     epoch_s           : when dwell t = 0 is, if neither the front end nor the site says it
     acquisition_scans : dwells up to t = 0, if that is known
 
-    The clock is the front end's if one of the first AHEAD dwells has its time; dwells before are counted back from it,
+    The clock is the front end's if one of the first AHEAD dwells has its time. Dwells before are counted back from it,
     and later ones without a time follow at the interval of the dwells. Else all dwells are counted from the time that
     the site says, or from `epoch_s`. A simulated run has no clock, and none of its dwells is held back.
 

@@ -1,7 +1,7 @@
 """The radar as a node: it registers, says how it is, reports its tracks, and acknowledges tasks.
 
 A message is framed by its length, 4 octets, the lowest first. Identifiers of reports and objects are ULIDs
-(https://github.com/ulid/spec), those of nodes are UUIDs. The messages are those of the package `sapient-proto`.
+(https://github.com/ulid/spec), identifiers of nodes are UUIDs. The messages are from the package `sapient-proto`.
 """
 
 import os

@@ -1,4 +1,4 @@
 """A run's dwells as scores: which track follows which target, what is computed of each dwell, sums over blocks of them.
 
-Never here: where scores are kept, or who asks for them.
+Never here: where scores are kept, or which client asks for them.
 """

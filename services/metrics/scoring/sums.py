@@ -1,8 +1,9 @@
 """Sums of scores over blocks of dwells: with them an answer about hundreds of thousands of dwells takes no time.
 
 A block is the dwells of one run and target with the same t // DWELLS. It is always summed from its own rows in their
-order: the same scores give the same bits, however they came. All targets of a run have the same dwells; what is summed
-is only those in which a target is there and, if the number of tracks is unknown, from when one has followed it first.
+order: the same scores give the same bits, however they came. All targets of a run have the same dwells. Only dwells in
+which a target is there are summed. If the number of tracks is unknown, they count from when a track has followed it
+first.
 """
 
 import json
@@ -111,7 +112,7 @@ def query(
     """A SELECT, and its values, of the sums over these dwells of each group of runs and each target.
 
     `groups` has the number of the group that each run is in. Columns: place (that number), target, runs, first_dwell,
-    last_dwell, and those of _TERMS; `last_outage` is that which goes on in the last dwell.
+    last_dwell, and the columns of _TERMS; `last_outage` goes on in the last dwell.
     """
     most = {"outage_longest": "MAX(outage_longest)", "last_outage": f"MAX(last_outage) % {_LATER}"}
     sums = ", ".join(f"{most.get(name, f'SUM({name})')} AS {name}" for name in (*_ROW, *most))

@@ -1,4 +1,4 @@
-"""The file of a journal while it is open: statements, the transaction they gather in, and who may commit it."""
+"""The file of a journal while it is open: statements, their transaction, and which recorder may commit it."""
 
 import sqlite3
 import time
@@ -47,7 +47,7 @@ class Database:
         """
         self.path, self._owner = path, owner
         self.commits = Durations()
-        self.epoch = 0  # of the recorder that leads the runs of this file; 0: whoever has it open leads none
+        self.epoch = 0  # of the recorder that leads the runs of this file; 0: this process leads none
         self._place = Place()
         self._db = connect(path, read_only=read_only)
         self._is_closed = False
@@ -161,7 +161,7 @@ class Database:
     def _begin(self) -> None:
         """Begin a transaction, unless one goes on. Raises Deposed.
 
-        It is the only one that writes from here on, so nobody takes the lead before it is committed.
+        It is the only one that writes from here on, so no other recorder takes the lead before it is committed.
         """
         if not self._db.in_transaction:
             self.check_leads()  # for the one that leads has the file most of the time

@@ -51,7 +51,7 @@ class JournalLock:
 
 
 def inode_in_use(path: str) -> int | None:
-    """Inode of the file that the writer of a journal has open; None: nobody has said."""
+    """Inode of the file that the writer of a journal has open; None: unknown."""
     try:
         with Path(f"{Path(path).resolve()}.lock").open("rb") as file:
             inode = json.loads(_signed(file.fileno()))["inode"]

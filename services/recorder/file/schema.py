@@ -148,7 +148,7 @@ def _size(path: str) -> int:
 
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     """Open a file and look what it is; nothing is written to it. Raises BadInput, StoreFailed."""
-    if not read_only and _size(path):  # a writer who closes a file puts its log into it, also if he refuses it
+    if not read_only and _size(path):  # a writer that closes a file puts its log into it, also if it refuses the file
         connect(path, read_only=True).close()
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
     db = None
@@ -182,7 +182,7 @@ def _distrust(db: sqlite3.Connection) -> None:
 
 
 def _roll_back(path: str) -> None:
-    """Let SQLite undo what somebody was about to write who was killed while he made the file, or left it as one."""
+    """Let SQLite undo the transaction that a killed process has left in a rollback journal."""
     try:
         with closing(sqlite3.connect(path)) as db:
             db.execute("PRAGMA user_version")

@@ -57,7 +57,7 @@ def _whole(file: Path, stream: IO[bytes]) -> bytes:
 
 
 def _documents(text: str) -> list[Any]:
-    """Those of all lines, if each has one; of a file that is cut short, all but the last."""
+    """The objects of all lines, if each has one; of a file that is cut short, all but the last."""
     found: list[Any] = []
     parts = text.splitlines()
     for i, line in enumerate(parts):

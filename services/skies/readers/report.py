@@ -16,7 +16,7 @@ class Report(NamedTuple):
     latitude: float  # degrees
     longitude: float  # degrees, -180 .. 360
     height_km: float | None = None
-    source: int = 0  # number of the column that has the height: those of one aircraft should be of one column
+    source: int = 0  # number of the column that has the height: one aircraft should use one column
     speed_km_s: float | None = None
     on_ground: bool = False
 

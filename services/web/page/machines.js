@@ -10,7 +10,7 @@ const KEPT = 30; // moves to be read
 const pair = (a, b, digits = 1) => (a === null && b === null ? "–" : `${fixed(a, digits)} · ${fixed(b, digits)}`);
 const COLUMNS = [
   ["Process", null, (p) => p.name || `no ${p.role}`],
-  ["State", null, (p) => (p.full ? "● cannot write, runs held" : p.alive ? "● up" : p.name ? "○ gone" : "○ nobody plays it")],
+  ["State", null, (p) => (p.full ? "● cannot write, runs held" : p.alive ? "● up" : p.name ? "○ gone" : "○ not running")],
   ["Dwells", "per s", (p) => fixed(p.dwells_per_s)],
   ["Whole dwell", "ms, p50 · p99", (p) => pair(p.dwell_p50_ms, p.dwell_p99_ms)],
   ["Own work", "ms, p50 · p99", (p) => pair(p.handling_p50_ms, p.handling_p99_ms)],
@@ -22,7 +22,7 @@ const COLUMNS = [
   ["CPU", "s", (p) => short(p.cpu_seconds)],
   ["Memory", "MiB", (p) => bytes(p.rss_bytes)],
 ];
-const keyOf = (process) => `${process.role}/${process.name}`; // of a role that nobody plays: without a name
+const keyOf = (process) => `${process.role}/${process.name}`; // of a role without a process: without a name
 const count = (value) => (value === null || value === undefined ? "–" : String(Math.round(value)));
 
 export class Machines {

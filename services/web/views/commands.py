@@ -37,7 +37,7 @@ _listed = scored("commands")
 
 
 async def commands(request: Request) -> Response:
-    """Those of a run; or, of a POST, one more."""
+    """The commands of a run; with POST, one more."""
     return await (_command(request) if request.method == "POST" else run_sync(_listed, request))
 
 
@@ -68,7 +68,7 @@ async def _command(request: Request) -> Response:
 
 
 def _commander(request: Request) -> str:
-    """Who asks. Raises Problem."""
+    """The name of the client. Raises Problem."""
     admitted: Admitted = request.app.state.admitted
     if not admitted.commanders:
         detail = f"commands are disabled: start metrics with {COMMAND_VARIABLE}=NAME:TOKEN, then show the token"

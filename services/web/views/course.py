@@ -142,7 +142,7 @@ class Course:
     """Of a target, by dwell: how often it was detected so far, and the floor under the error of its range."""
 
     def __init__(self, known: Facts) -> None:
-        self.lock = threading.Lock()  # of who extends it
+        self.lock = threading.Lock()  # held while it is extended
         self._known = known
         self._before = known.oldest - 1  # dwells that it has nothing of
         self._hits, self._n, self._floor = np.zeros(1, np.int32), np.zeros(1, np.int32), np.full(1, np.nan)

@@ -61,7 +61,7 @@ class Encoded:
             return self._kept[key]
 
     def put(self, store: Store, key: tuple[str, int, int], data: bytes) -> None:
-        """Keep a dwell, and for it let those go that nobody has asked for longest, or of another journal."""
+        """Keep a dwell. In its place let dwells of another journal go, or dwells that were not asked for longest."""
         with self._lock:
             if store is not self._store:
                 self._store, self._kept, self._bytes = store, OrderedDict(), 0
@@ -77,7 +77,7 @@ def dwells(request: Request, question: Question) -> Response:
     name, parameters, store, headers = question
     text, known = parameters.get("dwells"), facts(store, name, is_scored=False)
     first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
-    # No further than is asked for: all scores of a long run that nobody has looked at take many seconds.
+    # No further than is asked for: all scores of a long run that was not looked at yet take many seconds.
     store.derive_to(name, min(last, first + MAX_DWELLS - 1) + (known.row["acquisition_scans"] or 0) - 1)
     found = between(store, known, request.app.state.encoded, first, last, MAX_DWELLS)
     after = found[-1][0] + 1 if len(found) == MAX_DWELLS else last + 1

@@ -41,7 +41,7 @@ KEEP_EVERY = 128  # dwells on the way
 
 @about_run("target", "track", "dwell")
 def particles(request: Request, question: Question) -> Response:
-    """Some particles of a belief, the same ones whoever asks."""
+    """Some particles of a belief, the same ones for each request."""
     name, parameters, store, headers = question
     known = facts(store, name)
     t = int(parameters.get("dwell", known.newest))

@@ -1,4 +1,4 @@
-"""The machine room: every process, how fast it is, and who owns which track."""
+"""The machine room: every process, how fast it is, and which tracks it owns."""
 
 import math
 import time
@@ -26,7 +26,7 @@ from cogradar.shared.wire.membership import LiveNames
 
 FOR_S = 1.0  # how long an answer is given again
 WINDOW_S = 10.0  # that rates and percentiles are over
-MAX_RUNS = 20  # of which it is said who owns what
+MAX_RUNS = 20  # whose owners are told
 _DWELLS = {  # what a role's dwells are counted by: a sample, and its topic
     Role.EMULATOR: ("cogradar_dwell_seconds_count", ""),
     Role.PLANNER: ("cogradar_messages_received_total", "scan"),
@@ -47,7 +47,7 @@ _BEGAN = ("process_start_time_seconds", "", "")
 
 
 async def processes(request: Request) -> Response:
-    """Every process, and who owns which track of the runs that go on; once for all who ask within a second."""
+    """Every process, and which tracks of the running runs it owns; once for all requests within a second."""
     asked(request, ())
     machines: Machines = request.app.state.machines
     if core_of(request).gather is None:
@@ -96,7 +96,7 @@ class Machines:
     def _owners(self, gathered: Gathered, now_s: float) -> dict[str, dict[int, str]]:
         """Planner of each track, counted from 1, of each run that goes on.
 
-        It is what the planners work out themselves, from who is alive.
+        It is what the planners work out themselves, from the live planners.
         """
         processes = gathered.answers.keys() | gathered.silent
         present = {name for role, name in processes if role == Role.PLANNER and name}

@@ -57,7 +57,7 @@ class AntennaOfDwell(Document):
     """What a transmit antenna sent in a dwell."""
 
     antenna: int
-    power: float = Field(description="Those of all antennas sum to `radar.array.power`.")
+    power: float = Field(description="The powers of all antennas sum to `radar.array.power`.")
     papr_db: float = Field(
         description="Peak over mean power, if the waveforms are cyclic shifts of one Zadoff-Chu sequence."
     )
@@ -122,7 +122,7 @@ class TrackOfDwell(Document):
 
 
 class Search(Document):
-    """Where targets that nobody announced were searched for, with this power."""
+    """Where targets were searched for, with this power, if their number is unknown."""
 
     beams_deg: list[tuple[float, float]] = Field(description="Edges of the beams, a bin wide.")
     share: float
@@ -134,8 +134,8 @@ class PictureOfDwell(Document):
     targets: int | None = Field(description="Those that can be found by now.")
     tracks: int
     followed: int | None = Field(description="Targets with a track.")
-    swaps: int | None = Field(description="Tracks that became those of another target in this dwell.")
-    gospa_km: float | None = Field(description="p = 2, c = 5 km; its square is the sum of those of its parts.")
+    swaps: int | None = Field(description="Tracks that changed to another target in this dwell.")
+    gospa_km: float | None = Field(description="p = 2, c = 5 km; its square is the sum of the squares of its parts.")
     gospa_localisation_km: float | None
     gospa_missed_km: float | None
     gospa_false_km: float | None
@@ -211,7 +211,7 @@ class Radar(Document):
     dwells: int | None = Field(description="After the acquisition; null: until it is ended.")
     acquisition_scans: int | None
     targets: int
-    is_unknown: bool = Field(description="Nobody tells the radar how many targets there are.")
+    is_unknown: bool = Field(description="The radar is not told how many targets there are.")
     n_bin: int
     bin_edges_deg: list[float]
     max_range_km: float

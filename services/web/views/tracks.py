@@ -1,4 +1,4 @@
-"""The tracks of a dwell, where nobody knows how many targets there are: by number, from the first dwell to the last."""
+"""The tracks of a dwell, for an unknown number of targets: by number, from the first dwell to the last."""
 
 import json
 import math

@@ -278,7 +278,7 @@ def test_a_role_without_a_certificate_stands_for_nobody() -> None:
     ("text", "said"),
     [
         (None, "no such file"),
-        ("# nobody\n", "no name in it, so nobody could connect"),
+        ("# nobody\n", "no name in it, so no process could connect"),
         ("planner.a\npilot.b\n", r"line 2: 'pilot\.b': must be ROLE\.NAME"),
     ],
 )

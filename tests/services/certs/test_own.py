@@ -129,7 +129,7 @@ def test_a_command_with_another_roles_certificate_ends_with_code_2_and_says_why(
     environment = os.environ | {"COGRADAR_CONNECT": HERE, CONFIG_VARIABLE: str(folder / certificate / names.SETTINGS)}
     command = [sys.executable, "-m", "cogradar", *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
-    said = f"--zenoh-config: its certificate is that of {certificate}; this needs one of {needed}\n"
+    said = f"--zenoh-config: its certificate is {certificate}'s; this needs one of {needed}\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
 
 

@@ -237,7 +237,7 @@ def test_what_nobody_confirms_is_said_within_seconds(router: str) -> None:
     try:
         assert cancelling.cancel(session, bus, ["a", "b"]) == ["a", "b"]
         with (
-            pytest.raises(Interrupted, match=r"^stop; nobody confirmed that a is cancelled: it may go on$"),
+            pytest.raises(Interrupted, match=r"^stop; no confirmation that a is cancelled: it may go on$"),
             cancelling.cancelled_unless_over(session, bus, lambda: ["a"]),
         ):
             raise Interrupted("stop")

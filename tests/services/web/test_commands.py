@@ -200,7 +200,7 @@ def test_commanders_are_read_from_the_environment_or_a_file(tmp_path: Path, monk
             commanders()
     for text, said in (
         (f"tower:{TOKEN},me:{TOKEN}", "tower and me have the same token"),
-        (f"a:{READER}", "all who read"),
+        (f"a:{READER}", "the reading token"),
     ):
         monkeypatch.setenv(TOKEN_VARIABLE, READER)
         file.write_text(text)

@@ -143,4 +143,4 @@ def test_what_is_open_says_so(core: MetricsCore, caplog: pytest.LogCaptureFixtur
         assert listener is not None
         caplog.clear()
         Server(core, listener, FAST_S, token=given).close()
-        assert ("HTTP is open: whoever reaches it may read every run" in caplog.text) == is_said
+        assert ("HTTP is open: any client may read every run" in caplog.text) == is_said
