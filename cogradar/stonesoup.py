@@ -45,9 +45,9 @@ STEEPEST = 0.999  # sine of an angle from boresight, up to which the bearing's s
 def moments(dwells: Iterable[Dwell]) -> Iterator[tuple[datetime, Dwell]]:
     """Dwells after the acquisition, during which targets stand still, with their times, which ascend.
 
-    Times are UTC and without a zone, as Stone Soup has them: as the front end says, else as the `[site]` of the
-    scenario; from BEGAN on where the site does not say when the run begins. A run has one clock: dwells without a time
-    are counted on from the others, and the first ones back.
+    Times are UTC and without a zone, as Stone Soup has them. They are as the front end says, else as the `[site]` of
+    the scenario; from BEGAN on where the site does not say when the run begins. A run has one clock: dwells without a
+    time are counted on from the others, and the first ones back.
     """
     epoch_s = BEGAN.replace(tzinfo=UTC).timestamp()
     for at_s, _, dwell in timed((dwell for dwell in dwells if dwell.t > 0), epoch_s):

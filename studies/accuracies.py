@@ -49,7 +49,7 @@ class Played:
     power: dict[tuple[int, int], float] = field(default_factory=dict)
     detected: dict[tuple[int, int], bool] = field(default_factory=dict)
     search: dict[int, float] = field(default_factory=dict)
-    plans: dict[int, Plan] = field(default_factory=dict)  # after the dwell before that of the orders
+    plans: dict[int, Plan] = field(default_factory=dict)  # after the dwell before the orders'
     confirmed: dict[int, set[int]] = field(default_factory=dict)
 
 

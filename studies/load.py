@@ -151,7 +151,7 @@ def secured(
                 cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
             for pair in range(pairs):
                 notify(f"pair {pair + 1} of {pairs}")
-                for has in (pair % 2 == 0, pair % 2 == 1):  # who goes first gains nothing by it
+                for has in (pair % 2 == 0, pair % 2 == 1):  # neither gains by going first
                     start = RunStart.of(scenario, Strategy.POWER_AWARE, pair + 1, dwells)
                     endpoint = launchers[has].endpoint
                     cluster.play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)

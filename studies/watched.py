@@ -60,7 +60,7 @@ def measure(
             for kind in kinds:
                 notify(f"pair {pair + 1} of {pairs}: {kind}")
                 rates = {}
-                for is_watched in (pair % 2 == 0, pair % 2 == 1):  # who goes first gains nothing by it
+                for is_watched in (pair % 2 == 0, pair % 2 == 1):  # neither gains by going first
                     start = RunStart.of(load("paper"), Strategy.POWER_AWARE, pair + 1, dwells)
                     watching = _watchers(kind, launcher, start.run, dwells / median(alone or [10.0]), stop)
                     if is_watched:
@@ -120,7 +120,7 @@ def clients(kind: str, address: str, run: str, stop: threading.Event) -> Iterato
     try:
         _received(kind, ours, stop)
         yield counts
-        with suppress(OSError):  # nobody is there, which the answer says
+        with suppress(OSError):  # no process is there, which the answer says
             ours.send(None)
         found, faults = _received(kind, ours, stop)
         if faults:
@@ -169,7 +169,7 @@ def table(measured: Sequence[Watched]) -> Table:
         Column("goal", f"{GOAL:.2f}"),
         Column("served in a run", "{of_a_run}", left=True),
     ]
-    return Table("dwell rate of a watched run, of that of a run alone", columns, rows)
+    return Table("dwell rate of a watched run, relative to a run alone", columns, rows)
 
 
 def as_json(measured: Sequence[Watched]) -> list[dict[str, Any]]:

@@ -3,9 +3,9 @@
     python paper_world.py roof --listen tcp/127.0.0.1:7448 --seed 3
     cogradar run paper --seed 3 --front-end zenoh:roof@tcp/127.0.0.1:7448
 
-It imports no cogradar, and `cogradar run paper --seed 3` has the same digest. For that each number has the last bit
-of cogradar's: sums have one order (`last`, `product`), complex products are taken by their parts (`times`), and nothing
-of BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). docs/explanation/model.md has the symbols.
+It imports no cogradar, and `cogradar run paper --seed 3` has the same digest. Each number therefore has the last bit of
+cogradar's: sums have one order (`last`, `product`), complex products are taken by their parts (`times`), and nothing of
+BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). docs/explanation/model.md has the symbols.
 """
 
 import hashlib

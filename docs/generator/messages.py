@@ -1,4 +1,4 @@
-"""Topics and messages: who says what to whom, and what is in it."""
+"""Topics and messages: senders, readers and contents."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ def topics() -> str:
 
 
 def readers() -> str:
-    """Who sends what to whom: a row per sender, a column per reader."""
+    """Topics by sender and reader: a row per sender, a column per reader."""
     roles = [role for role in Role if any(role in topic.readers for topic in TOPICS)]
     senders = [role for role in Role if any(topic.producer is role for topic in TOPICS)]
     rows = [

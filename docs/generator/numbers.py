@@ -36,5 +36,5 @@ def metrics() -> str:
         whole = f"cogradar_{name}{'_total' if kind == 'counter' else ''}"
         rows.append((code(whole), kind, meaning.label, meaning.roles, prose(meaning.text)))
     edges, fine = (", ".join(f"{edge:g}" for edge in of) for of in (EDGES_S, FINE_EDGES_S))
-    text = f"\nUpper edges of the histograms: {edges} s; of those of dwells and margins {fine} s.\n"
+    text = f"\nUpper edges of the histograms: {edges} s; of dwells and margins {fine} s.\n"
     return table(("metric", "kind", "label", "from", "meaning"), rows) + text

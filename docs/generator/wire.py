@@ -1,4 +1,4 @@
-"""The wire for who writes a program of another language: one message byte by byte, limits, rights."""
+"""The wire for programs in other languages: one message byte by byte, limits, rights."""
 
 import base64
 import struct

@@ -20,7 +20,7 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.tracking.motion import mean_state, predicted_bins, predicted_mean
 
-# Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one: of a belief over
+# Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one. Of a belief over
 # three bins, 2.5 visits chose a bin less probable than the best by 0.13 on average, 10 visits by 0.01.
 MIN_VISITS = 10
 MAX_SIMULATIONS = 2**31 - 1  # that a choice can say

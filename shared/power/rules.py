@@ -33,7 +33,7 @@ _NOWHERE, _NOBODY, _ALIKE, _FREE = np.zeros(0, np.int64), np.zeros(0, np.bool_),
 
 
 class Requests(NamedTuple):
-    """What M tracks ask for in one dwell; those of one cell each have C = 1."""
+    """What M tracks ask for in one dwell; C = 1 for one cell each."""
 
     nus: Floats  # (M, C) directions of each track's cells, the first by its rule of looking
     chances: Floats  # (M, C) probability that its target is in the cell; 0: no further one

@@ -1,11 +1,11 @@
 """The reduced max-min program in cvxpy with Clarabel: an independent reference for the optimum of `max_min.allocate`.
 
 It takes further constraints on the tracks (linear in the b_m^T X b_m). Constraints on antennas, such as a power limit
-of each, do not fit: their multipliers nu turn the range of an optimal R from span{a_m^*} into diag(nu)^{-1}
-span{a_m^*}, which is not known in advance, so that the reduction to M x M fails; and `expand` rescales R to the whole
+of each, do not fit. Their multipliers nu turn the range of an optimal R from span{a_m^*} into diag(nu)^{-1}
+span{a_m^*}. This is not known in advance, so that the reduction to M x M fails. Also `expand` rescales R to the whole
 power, which may exceed a limit. For equal powers there is `cogradar.shared.power.equal_antennas`.
 
-Importing cvxpy takes about a second, so only who asks for this solver imports this module.
+Importing cvxpy takes about a second, so this module is imported only for this solver.
 """
 
 import warnings

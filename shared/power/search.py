@@ -1,4 +1,4 @@
-"""The search for targets that nobody announced: where it looks in a dwell, and how much power it has."""
+"""The search for an unknown number of targets: where it looks in a dwell, and how much power it has."""
 
 from collections.abc import Callable
 from functools import cache, lru_cache
@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 LONGEST = 10  # dwells of a sweep: the range of detection falls with the fourth root of the beams only
 P_D = 0.8  # of a look at the end of the range
 _STRONGEST = 1e9  # zeta of an echo that is found at any limit
-LEAST_SHARE = 0.1  # of the power, however much the tracks need: else nobody who comes would ever be found
+LEAST_SHARE = 0.1  # of the power, however much the tracks need: else no new target would ever be found
 
 
 Sweep = Callable[[Floats], Ints]  # how often each of some directions is searched in a sweep; (n,) -> (n,)
@@ -39,11 +39,11 @@ def search_directions(
 ) -> tuple[Floats, int]:
     """Directions of the search beams of a dwell, (n,) ascending, none if it goes everywhere; number of the next beam.
 
-    A sweep makes as many visits to each bin as `times` says, one if nobody commands otherwise, in steps of the golden
-    section of the field of view, so that the beams of a dwell are far apart. Every second sweep is half a bin further:
-    a target at the border of two bins is met with a sixth of its power. "auto" makes as many beams as the power allows
-    to find the echo that the radar expects from the end of its range with a probability of P_D, but as many that a
-    sweep takes LONGEST dwells at most.
+    A sweep makes as many visits to each bin as `times` says, one without a command. It goes in steps of the golden
+    section of the field of view, so that the beams of a dwell are far apart. Every second sweep is half a bin further,
+    since a target at the border of two bins is met with a sixth of its power. With "auto" it makes as many beams as the
+    power allows to find the echo that the radar expects from the end of its range with a probability of P_D, but as
+    many that a sweep takes LONGEST dwells at most.
 
     first : number of the first beam, counted from the first one of the run
     power : of the search in this dwell

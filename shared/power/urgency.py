@@ -6,10 +6,10 @@ probability of detection (`cogradar.shared.power.joint`).
 
     maximise  sum_i v_i f(g_i w_i),  v_i = V_m p_i / sum_{i of m} p_i,   subject to  sum_i w_i = P,  w_i >= 0
 
-It is one step of lookahead over the beliefs. f is convex where power is scarce, so that few looks are bright and the
-other tracks dark: those that are known well enough, and those whose look is too dear for what it would tell. The latter
-would be dark for ever, hence turns; and a look into the cell of another echo tells of the wrong target: a track that
-is hidden behind another one is dark until they part.
+It is one step of lookahead over the beliefs. The function f is convex where power is scarce, so that few looks are
+bright and the other tracks dark. Dark are tracks that are known well enough, and tracks whose look is too dear for what
+it would tell. The latter would be dark for ever, hence turns. A look into the cell of another echo tells of the wrong
+target: a track that is hidden behind another one is dark until they part.
 """
 
 import numpy as np
@@ -26,13 +26,13 @@ LEAST = 1e-4  # worth of any look: somebody is lit even if all is known
 
 
 def urgency(radar: RadarConfig, requests: Requests) -> Emission:
-    """A few bright looks, those that tell most of where the targets will be some dwells later.
+    """Concentrate power on the looks with the largest expected information gain some dwells later.
 
     A cell that is the first one of a track is not asked to be lit for any other; of several tracks with one first cell
-    that with the strongest echo has it. The echo there would be taken for that of a target that is somewhere else, and
-    the track would follow the wrong target from then on. It is looked at in its other cells, coasts if it has none, and
-    its turn is of the first that it has. (Power to spare may widen looks over such a cell; a detection there belongs to
-    the track that is nearest.)
+    the track with the strongest echo has it. The echo there would be taken for the echo of a target that is somewhere
+    else, and the track would follow the wrong target from then on. It is looked at in its other cells, coasts if it has
+    none, and its turn is of the first that it has. (Power to spare may widen looks over such a cell; a detection there
+    belongs to the track that is nearest.)
     """
     found = requests.worths / np.maximum(requests.chances.sum(axis=1), LEAST)
     worths = np.maximum(found[:, np.newaxis] * requests.chances, LEAST)

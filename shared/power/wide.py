@@ -5,9 +5,9 @@ where P_D is 0.999.
 
 The beams of an objective often have more power than a detection needs: the rest buys accuracy of the range.
 What is above twice the sure power is spare. A share of it, the same of every beam, is spent on further cells, each with
-the sure power of its track, nearest and cheapest first: the farther a cell, the less probable is the target there. The
-share is small while nothing is amiss, so that ranges lose nearly nothing, and half for tracks whose misses the model
-cannot explain: one dwell in which a target is found is worth more than one of accurate ranges.
+the sure power of its track. The nearest and cheapest come first: the farther a cell, the less probable is the target
+there. The share is small while nothing is amiss, so that ranges lose nearly nothing, and half for tracks whose misses
+the model cannot explain. One dwell in which a target is found is worth more than one of accurate ranges.
 """
 
 import numpy as np

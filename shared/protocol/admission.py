@@ -102,16 +102,16 @@ def _asked_nus(scan: Scan) -> NDArray[np.float64]:
 
 
 def _check_searching(scan: Scan, roster: Roster, bins: NDArray[np.int32], n_bin: int) -> None:
-    """Refuse a clock that stood still, and cells that nobody asked for, unless all bins are tested: so it begins.
+    """Refuse a clock that stood still, and cells without a request, unless all bins are tested: so it begins.
 
     bins : of the rows, and of what was not measured
     """
     if scan.t != scan.k + 1:
-        raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: nobody waits for an acquisition")
+        raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: the acquisition is over")
     lit = np.asarray(scan.beam_nus)[scan.beams >= 0]
     is_asked = scan.k > 0 and np.isin(_asked_nus(scan), np.concatenate((lit, roster.searched))).all()
     if not is_asked and np.unique(bins).size < n_bin:
-        raise Refused(f"scan of dwell {scan.k} with cells other than its beams, those of the search, or all")
+        raise Refused(f"scan of dwell {scan.k} with cells other than its beams, the search's, or all")
 
 
 def check_roster(roster: Roster | None, beams: NDArray[np.int32], radar: RadarConfig, dwells: int) -> None:
@@ -139,7 +139,7 @@ def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> No
     limits, ranges, nu_hats, sigmas, beam_nus = (np.asarray(column) for column in columns)
     asked = _asked_nus(scan)
     if np.abs(nus).max(initial=0.0) > 0.5 or (angle_bin(nus, n_bin) != scan.bins).any():
-        raise Refused("scan whose bins are not those of the directions tested")
+        raise Refused("scan whose bins do not match the directions tested")
     if asked.size != n_bin and not np.isin(beam_nus[scan.beams >= 0], asked).all():
         raise Refused("scan that lacks the direction of a beam")
     if nus.size == 0:
@@ -155,7 +155,7 @@ def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> No
 def check_directions(beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig) -> None:
     """Refuse beams of other bins than their directions say."""
     if nus is not None and (angle_bin(nus, radar.array.n_bin) != beams)[beams >= 0].any():
-        raise Refused("beams whose bins are not those of their directions")
+        raise Refused("beams whose bins do not match their directions")
 
 
 def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:

@@ -85,7 +85,7 @@ class RunStart(_Settings):
 
     @classmethod
     def of(cls, scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> Self:
-        """Start of a new run; dwells None: the scenario's. Its id is opaque: nobody could draw the world from it."""
+        """Start of a new run; dwells None: the scenario's. Its id is opaque: the world cannot be drawn from it."""
         return cls(
             run=f"{scenario.name}-{uuid.uuid4().hex[:12]}",
             scenario=scenario.model_dump(),
@@ -113,7 +113,7 @@ class Command(Message):
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]  # unique
-    by: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[ -~]+$")]  # who asks
+    by: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[ -~]+$")]  # the client that asks
     action: Action
     at: Index = 0  # not before this dwell
 
@@ -138,7 +138,7 @@ class Checkpoint(_Settings):
     held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
     orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
-    epoch: Epoch = 0  # of the recorder that says it: who has heard a higher one in this run drops it
+    epoch: Epoch = 0  # of the recorder that says it; dropped after a higher one of this run
 
     @field_validator("radar")
     @classmethod
@@ -185,7 +185,7 @@ class Scan(Message):
     nu_sigmas: Measured | None = None  # (n,) ... its standard deviation; 0: not measured
     beam_nus: FloatLists | None = None  # (M, L) directions of `beams`; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
-    roster: Roster | None = None  # that of the waveform, if the number of tracks is unknown
+    roster: Roster | None = None  # of the waveform, if the number of tracks is unknown
     # (u,) directions of the looks that were asked for and were not measured, ascending; None: all were measured.
     unmeasured: Floats | None = None
     # (v,) centres of range cells that were asked for and not received, ascending; None: all were received.
@@ -381,7 +381,7 @@ def _check_beams(beams: Beams, nus: FloatLists | None, gates: FloatLists | None,
         check_different(beams)
         return
     if nus.shape != beams.shape or np.abs(nus).max(initial=0.0) > 0.5 or gates.shape != (beams.shape[0], 2):
-        raise ValueError("directions must be those of beams, -0.5 .. 0.5, and gates (M, 2)")
+        raise ValueError("directions must have a beam each, -0.5 .. 0.5, and gates (M, 2)")
     if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any() or gates.max(initial=0.0) > FAR:
         raise ValueError(f"gates must be 0 <= low <= high <= {FAR:g}")
 

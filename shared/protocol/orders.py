@@ -175,9 +175,10 @@ Settings = Annotated[list[Setting], Field(min_length=1, max_length=len(SETTINGS)
 def in_force(orders: Iterable[Order], k: int) -> list[Order]:
     """What shapes dwell k, in the order in which it took effect; neither drops nor the end of the run.
 
-    A newer power limit replaces the older one, a pause the pause before, a setting that of the same key, a priority or
-    an accuracy that of the same track, and a sector those that it contains. What is replaced for good, and what changes
-    nothing, is not in force. A priority or an accuracy may be of a track that is not there (`of_tracks`).
+    A newer power limit replaces the older one, and a pause the pause before. A setting replaces the one of the same
+    key, a priority or an accuracy the one of the same track, and a sector the sectors that it contains. What is
+    replaced for good, and what changes nothing, is not in force. A priority or an accuracy may be of a track that is
+    not there (`of_tracks`).
     """
     begun = sorted((order for order in orders if order.k <= k), key=lambda order: (order.k, order.n))
     limits = [order for order in begun if isinstance(order.action, PowerLimit)][-1:]
@@ -227,9 +228,9 @@ def power_share(orders: Iterable[Order]) -> float:
 
 
 def of_tracks(orders: Iterable[Order], born_ks: Mapping[int, int] | None) -> list[Order]:
-    """Orders without those of tracks that are not there, or were not in the roster of the dwell before the order's.
+    """Orders, but for tracks that are not there, or were not in the roster of the dwell before the order's.
 
-    Like a drop: who still knows the order when a later track begins must not matter.
+    Like a drop: it must not matter which process still knows the order when a later track begins.
 
     born_ks : dwell with whose scan each track began, of those that are there; None: all are, and always were
     """
@@ -241,7 +242,7 @@ def of_tracks(orders: Iterable[Order], born_ks: Mapping[int, int] | None) -> lis
 
 
 def _was_there(order: Order, track: int, born_ks: Mapping[int, int]) -> bool:
-    """Whether a track that is there was in the roster of the dwell before that of an order."""
+    """Whether a track that is there was in the roster of the dwell before the order's."""
     return born_ks.get(track, order.k) + 1 < order.k
 
 
@@ -316,7 +317,8 @@ def dropped(orders: Iterable[Order], k: int, born_ks: Mapping[int, int]) -> dict
     """Tracks that end before dwell k, each with the number of its order.
 
     An order ends only a track that is in the roster of the dwell before its own. In lockstep it therefore acts in its
-    own dwell or never, whoever still knows it later. Where dwells may be lost it acts in the first one that is made.
+    own dwell or never, although some process may know it later. Where dwells may be lost it acts in the first one that
+    is made.
 
     born_ks : dwell with whose scan each track began, of the tracks in the roster of dwell k - 1
     """

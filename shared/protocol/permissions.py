@@ -44,7 +44,7 @@ class Act(StrEnum):
     HEAR = "hear"  # questions to several
     ANSWER = "answer"
     SHOW = "show"  # oneself alive
-    SEE = "see"  # who is alive
+    SEE = "see"  # which processes are alive
 
 
 def may_send(holder: str, topic: Topic) -> bool:
@@ -87,6 +87,6 @@ def holders(act: Act, expression: str) -> tuple[str, ...]:
 
 
 def expression(key: str, role: str = "*", slots: str = "*") -> str:
-    """Key expression for all keys of a form, or for those of a role, or of its processes whose names have slots."""
+    """Key expression for all keys of a form, or of a role, or of its processes whose names have slots."""
     name = "*" if slots == "*" else f"$*@{slots}"
     return re.sub(r"\{\w+\}", "*", key.replace("{role}", role).replace("{name}", name))

@@ -32,7 +32,7 @@ class _Unable(Message):
 
     process: ProcessName
     reason: Annotated[str, Field(min_length=1, max_length=MAX_WHY)]
-    ends: bool  # whoever plays the run comes to the same, or nobody else could: it fails
+    ends: bool  # the same happens in any process, or no other one could do it: the run fails
 
     @classmethod
     def of(cls, run: str, process: str, error: Exception, *, ends: bool) -> Self:
@@ -51,7 +51,7 @@ class NoWaveforms(_Unable):
 class Snapshot(Message):
     """All that a track is after dwell k: planner -> recorder.
 
-    Its fields are those of `cogradar.shared.tracking.model.TrackState`. All owners of a track send the same. Not part
+    Fields as in `cogradar.shared.tracking.model.TrackState`. All owners of a track send the same. Not part
     of the digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
@@ -100,7 +100,7 @@ class ScanRecall(Message):
 
     k: Index
     targets: Indices  # tracks that wait for dwell k
-    planner: ProcessName  # who asks, and is answered
+    planner: ProcessName  # it asks, and is answered
 
 
 class WaveformRecall(Message):
@@ -116,17 +116,17 @@ class History(Message):
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[Payload], Field(max_length=MAX_HISTORY)]  # each an encoded message, envelope and all
-    epoch: Epoch = 0  # as that of a checkpoint
+    epoch: Epoch = 0  # as of a checkpoint
 
 
 class Handover(Message):
     """Tracks that change hands: planner -> planners.
 
     A worker goes on planning for tracks that another one now owns, and says so, until that one says that it has taken
-    them: no dwell waits for a worker that has yet to rebuild them. If either is lost, both plan the same for a while.
+    them. No dwell waits for a worker that has yet to rebuild them. If either is lost, both plan the same for a while.
     """
 
-    planner: ProcessName  # who says it
-    k: Index  # the newest dwell that it has planned for: who takes the tracks must be as far
+    planner: ProcessName  # the sender
+    k: Index  # the newest dwell that it has planned for: the new owner must be as far
     targets: Indices
     taken: bool  # the sender has them; False: it plans for them, and another one owns them

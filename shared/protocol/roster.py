@@ -63,7 +63,7 @@ class Roster(Compared):
         if not np.isin(self.confirmed, (0, 1)).all():
             raise ValueError("confirmed must be 0 or 1")
         if self.born_k.min(initial=0) < 0 or (self.born_k[1:] < self.born_k[:-1]).any():
-            raise ValueError("born_k must be from 0, and never less than that of the track before")
+            raise ValueError("born_k must be from 0, and never less than the track before has")
         if self.births.shape[1] != BIRTH or self.births.shape[0] > m:
             raise ValueError(f"births must be (b, {BIRTH}), at most a row for each of ids")
         _check_births(self.births)

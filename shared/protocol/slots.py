@@ -1,7 +1,7 @@
-"""Which tracks a planner may plan for: its name, and that of its certificate, may end in @FIRST-LAST, some of 16 slots.
+"""Which tracks a planner may plan for: its name and its certificate's may end in @FIRST-LAST, some of 16 slots.
 
-Track m is in slot m modulo 16. What a planner says of tracks is on a key with its slots, so that a router can refuse
-what a key has no part in, and a reader sees whether the tracks are in them.
+Track m is in slot m modulo 16. What a planner says of tracks is on a key with its slots. A router can so refuse other
+slots by the key, and a reader sees whether the tracks are in them.
 """
 
 import re
@@ -32,7 +32,7 @@ def slots_of(planner: str) -> str:
 
 @cache
 def slots_in(text: str) -> range:
-    """The slots of a text FIRST-LAST; none of any other, so that who has such a name plans for nothing."""
+    """The slots of a text FIRST-LAST; none of any other: a planner with such a name plans for nothing."""
     found = _SLOTS.fullmatch(text)
     if found is None or not int(found[1]) <= int(found[2]) < N_SLOT:
         return range(0)

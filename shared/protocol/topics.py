@@ -1,7 +1,7 @@
 """Every topic on one page. Keys are spelled nowhere else.
 
-Within a run the processes of one build hear each other and nobody else: the key of all that they say begins with their
-build, so that a planner of another one can neither own tracks nor give an answer whose bits differ. Who begins a run or
+Within a run the processes of one build hear only each other. The key of all that they say begins with their build, so
+that a planner of another one can neither own tracks nor give an answer whose bits differ. A client that begins a run or
 asks for results need only speak the same protocol.
 """
 
@@ -58,7 +58,7 @@ class GivesWay(StrEnum):
     """Which message of a topic is dropped when no more of it may wait at a reader.
 
     None is lost for good: its sender redelivers it, or says something newer. Nor may the sender be made to wait, as it
-    would be by a full queue of the transport: that stops all who talk to the reader.
+    would be by a full queue of the transport: that stops all senders to the reader.
     """
 
     ARRIVING = "arriving"  # its sender redelivers in order
@@ -82,7 +82,7 @@ def encoding_of(message: type[Message]) -> str:
 
 @dataclass(frozen=True)
 class Delivery:
-    """How a message gets to all who need it, as a document says it."""
+    """How a message gets to all its readers, as a document says it."""
 
     until: str  # its sender repeats it
     late: str = "It learns from the next checkpoint what it needs."  # process
@@ -140,7 +140,7 @@ class Topic:
 
     def pattern(self, build: str, to: str = "*", slots: str = "*") -> str:
         """Key expression that matches every run of the topic; of what is addressed, that `to` a process; of what
-        planners say of tracks, that of planners with these slots.
+        planners say of tracks, planners with these slots.
         """
         known = {"{build}": build, "{to}": to, "{slots}": slots}
         return "/".join(known.get(chunk, "*") if chunk.startswith("{") else chunk for chunk in self.key.split("/"))

@@ -69,7 +69,7 @@ WHY = {  # what the rows cannot say of themselves
     "published filter": "Rejection is defined for bins.",
     "robust filter": "A bin has one cell for all ranges and no direction within it. Rules that know the truth name a"
     " bin.",
-    "unknown number of targets": "Steered cells tell new targets from those of other tracks.",
+    "unknown number of targets": "Steered cells tell new targets from tracked ones.",
     "Gaussian filter": "Only measured directions and ranges leave a Gaussian belief.",
     "semidefinite program": "It solves max-min only, and its reduced form has no antennas to limit.",
     "joint looks": "max-min gives each track one beam and cannot choose among its cells. A rule that knows the truth"

@@ -52,7 +52,7 @@ def measured_at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[fl
 
 
 def check_tracks(tracks: int | str, n_start: int, n_target: int) -> None:
-    """Raise ValueError if the radar is told a number of tracks that is not that of the targets at the start."""
+    """Raise ValueError if the radar is told a number of tracks that differs from the number of targets at the start."""
     if tracks not in {n_start, UNKNOWN}:
         some = " that are there at the start" if n_start < n_target else ""
         raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets{some}, {n_start}")

@@ -191,7 +191,7 @@ def _without_rows(text: str) -> tuple[str, dict[str, Any]]:
     is_in_string = "'''" in text or '"""' in text  # perhaps
     if is_in_string or text.count("[") > MAX_LISTS or text.count(",") > MAX_NUMBERS:
         return text, {}
-    found, mark = dict[str, Any](), secrets.token_hex(8)  # a word that nobody could have written
+    found, mark = dict[str, Any](), secrets.token_hex(8)  # a word that cannot be in the document
 
     def taken(line: re.Match[str]) -> str:
         try:

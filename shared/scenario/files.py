@@ -58,8 +58,8 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
     """Read and check a scenario: the name of a built-in one, or the path of a TOML file.
 
     A file may say `extends = "paper"`: a name, or a path relative to the file; what it leaves out is as there, but
-    its name is that of the file. `settings` go on top, each KEY=VALUE: a dotted key, entries of a list counted from 1,
-    and a TOML value; strings need no quotes. `over` are those of a sweep, which its errors call --over.
+    its name is the file's. `settings` go on top, each KEY=VALUE: a dotted key, entries of a list counted from 1,
+    and a TOML value; strings need no quotes. `over` are settings of a sweep, which its errors call --over.
 
     Raises ScenarioError with a one-line text that names the file or the setting, the key, the value and what is
     allowed.
@@ -247,7 +247,7 @@ def _refusal(lines: Sequence[str], n: int) -> ScenarioError:
 def written(scenario: Scenario, files: Sequence[Path] = ()) -> str:
     """The scenario as TOML that can be saved and loaded; `files` as of `document.read`, the newest first.
 
-    A comment stays beside its key for as long as its value is that of the file, and so does the first file's head.
+    A comment stays beside its key for as long as its value is the file's, and so does the first file's head.
     """
     comments: dict[str, tuple[str, str]] = {}  # by key: the value as it was written, and what was said of it
     for file in reversed(files):

@@ -75,19 +75,19 @@ class Scenario(Section):
     title: Annotated[str, Field(max_length=MAX_TITLE, description="one line for people")]
     dwells: Dwells
     radar: RadarConfig
-    world: WorldConfig | None = None  # None: a real front end, whose truth nobody knows
+    world: WorldConfig | None = None  # None: a real front end, whose truth is unknown
     site: SiteSection | None = None  # None: x and y have no place on the earth
 
     @property
     def simulated(self) -> WorldConfig:
-        """The world of a simulated front end; ValueError for a real one, whose world nobody knows."""
+        """The world of a simulated front end; ValueError for a real one, whose world is unknown."""
         if self.world is None:
             raise ValueError(f"{self.name} has no [world]")
         return self.world
 
     @property
     def n_target(self) -> int:
-        """Targets of the world, whenever they are there; where nobody knows them, the tracks that are announced."""
+        """Targets of the world, whenever they are there; if they are unknown, the number of tracks."""
         if self.world is not None:
             return len(self.world.targets)
         return self.radar.announced

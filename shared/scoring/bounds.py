@@ -6,7 +6,7 @@ J information about [R, dR/dt].
 The classical bound does not hold for the bearing: a detection says in which bin the target is, a likelihood that is
 flat inside the bin and 0 outside. Its support depends on the state, so it has no Fisher information (and a bearing can
 be known better than by any rate 1/sqrt(n), from the dwells at which a target changes bins). So the estimator is given
-more than the radar has, the bearing itself at all times, and the bound is that of what is left, the range along a known
+more than the radar has, the bearing itself at all times, and the bound is for what is left, the range along a known
 line of sight. More knowledge cannot hurt: no tracker's root mean squared error of range, hence of position, is below
 it. It is not tight: the error across the line of sight comes on top.
 """

@@ -38,7 +38,7 @@ class Detectability(NamedTuple):
         array, prior, width = radar.array, radar.acquisition, radar.receiver.range_cell_km
         n_cell = len(range_cells(prior.range_min_km, prior.range_max_km, width)) if width else 1
         p_fa = radar.detector.p_fa
-        if radar.search is not None:  # nobody looks at a target that was not announced but the search
+        if radar.search is not None:  # an unknown target is looked at by the search only
             p_fa = alert_p_fa(array.n_bin if radar.search.beams == "auto" else radar.search.beams)
         limit = threshold(p_fa, n_cell)
         laws = [target.rcs or world.rcs for target in world.targets]

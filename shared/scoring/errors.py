@@ -177,7 +177,7 @@ def lost(outages: ArrayLike) -> NDArray[np.bool_]:
     """Is a track lost: out of its target's bin for the last 20 dwells, or for any 60 in a row.
 
     outages : (..., T) dwells in a row, up to this one, that a track is out of the bin (with joint looks: by 2 or more),
-              NaN while the target is not there; of less than 20 dwells with it all must be out
+              NaN while the target is not there. Of less than 20 dwells with it all must be out
     returns : (...) bool
     """
     outages = np.asarray(outages, dtype=np.float64)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import ceil, inf, sqrt
 from typing import NamedTuple, Self
 
-CUT_OFF_KM = 5.0  # c: a track that is further off follows nobody
+CUT_OFF_KM = 5.0  # c: a track that is further off follows no target
 LONG_VISIBLE = 20  # dwells; a target that was visible for so long without a confirmed track was never found
 
 
@@ -26,9 +26,9 @@ class Totals(NamedTuple):
     confirmed: int  # targets followed for the first time,
     confirmed_after: int  # ... and the dwells that this took from when they counted
     regained: int  # targets followed again, by whatever track,
-    regained_after: int  # ... and the dwells that nobody followed them
+    regained_after: int  # ... and the dwells without a track of them
     began: int  # tracks
-    established: int  # tracks that have become that of their first target; those that never do are false
+    established: int  # tracks that have come to follow a first target; tracks that never do are false
 
 
 class Figures(NamedTuple):

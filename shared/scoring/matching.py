@@ -15,7 +15,7 @@ FAR_KM = 1e9  # beyond it all ranges are one
 GATE_BINS = (
     1.5  # a new track is in its target's bin, or has just left it; one that is further off in angle is a stranger
 )
-LOG_RANGE_SIGMA = 1.0  # its range error, in ln(R): about that of the uniform prior over 5 .. 200 km
+LOG_RANGE_SIGMA = 1.0  # its range error, in ln(R): about as of the uniform prior over 5 .. 200 km
 
 
 def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np.int64]:
@@ -27,7 +27,7 @@ def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np
     estimates, truths : (M, 4), (N, 4)
     n_bin             : number of angle bins, whose centres are 1 / (n_bin - 1) apart
     returns           : (M,) index of the truth of each track
-    Not by position, neither cost nor gate: a new track knows its bin for sure but hardly its range, and an error in
+    Not by position, neither cost nor gate: a new track knows its bin for sure but hardly its range. An error in
     range can move it further than the targets are apart. The squares make it the most likely assignment under Gaussian
     errors; range decides only between targets of about one bin. Bins 0 and n_bin - 1 are different cells here, hence no
     wrapping of nu. Any finite states will do, also one at the array itself, where a target may fly.

@@ -44,7 +44,7 @@ class AirPicture:
         self._in_a_row: dict[int, int] = {}  # by target: dwells for which that track has followed it
         self._whose: dict[int, int] = {}  # of each established track: the target that it is the track of
         self._confirmed: set[int] = set()  # targets
-        self._out_since: dict[int, int] = {}  # dwell t from which on nobody follows a target that counts
+        self._out_since: dict[int, int] = {}  # dwell t from which on no track follows a target that counts
 
     def advance(
         self, t: int, tracks: Objects, targets: Objects, counts: Sequence[bool]

@@ -137,7 +137,7 @@ def _of_search(
     """P_D of the search's looks at each target with all power, and expected seconds until one sees it; (M,) each.
 
     The beams of two sweeps are gone through, since every second one goes between the directions of the first, and the
-    target may come in any of these dwells. P_D is that of many receive channels.
+    target may come in any of these dwells. P_D holds for many receive channels.
     """
     radar, world, array = scenario.radar, scenario.simulated, scenario.radar.array
     nus, laws = spatial_frequency(world.measured_states()), [target.rcs or world.rcs for target in world.targets]
@@ -183,7 +183,7 @@ def warnings(scenario: Scenario, expected: Sequence[Prospect]) -> list[str]:
     if abs(assumed - real) > 6.0:
         found.append(
             f"radar.echo.amplitude_db = {assumed:g} but world.echo.amplitude_db = {real:g}: the radar takes echoes for"
-            f" those of targets {10.0 ** ((assumed - real) / 40.0):.2g} times as far away"
+            f" echoes of targets {10.0 ** ((assumed - real) / 40.0):.2g} times as far away"
         )
     if scenario.world.rcs != "constant" and radar.assumes.rcs == "known":
         found.append(
@@ -290,8 +290,8 @@ def _of_dwell_time(radar: RadarConfig, prospect: Prospect) -> list[str]:
     """Whether the belief of a new track grows faster in a dwell than looks follow.
 
     All velocities up to v_max are possible, so that after a dwell the target is within h = v_max dt + sigma_s dt^2 of
-    its place, the second term being two standard deviations of what its acceleration does. At range R a cell is
-    2 R / ((n_bin - 1) cos theta) wide.
+    its place. The second term is two standard deviations of what its acceleration does. At range R a cell is 2 R /
+    ((n_bin - 1) cos theta) wide.
     """
     motion, v_max, array = radar.motion, radar.acquisition.v_max_km_s, radar.array
     looks, cell_km = _cells_looked_at(radar, prospect), 2.0 * prospect.range_km / (array.n_bin - 1)

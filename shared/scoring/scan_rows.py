@@ -1,4 +1,4 @@
-"""Which rows of a scan are about a target: those of looks that hear it.
+"""Which rows of a scan are about a target: the rows of looks that hear it.
 
 Symbols: n rows of the scan, M targets. States of targets are where the array measures them (`array.in_plane`). A scan
 is given as the fields of its message, and read as `Detections`.

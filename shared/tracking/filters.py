@@ -175,6 +175,6 @@ def guarded(filter_: Any, call: Caller) -> OwnFilter:
 
 
 def filter_of(model: TrackerModel) -> Filter:
-    """That of a radar. Raises PluginRefused if it is a user's own and cannot be had in this process."""
+    """The filter of a radar. Raises PluginRefused if it is a user's own and cannot be had in this process."""
     found: Filter = resolve(BELIEF, model.belief.filter)
     return found

@@ -55,7 +55,8 @@ def _belief_of(
 
     The range is measured, or follows with the direction from the amplitudes of all scans. Directions as measured in
     the detections are not used: a weak target is detected when noise has made the sum channel too strong, which puts
-    its direction too near to the axis; at the border of two bins by half, and the range by a seventh too far.
+    its direction too near to the axis. At the border of two bins it is too near by half, and the range is a seventh too
+    far.
     """
     response = model.response
     alpha_hat = np.array([scan.alpha_hat[bin_] for scan in scans])
@@ -187,8 +188,8 @@ def turn(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Gene
 
     particles : (n, 4) propagated; returns (n, 4)
 
-    Range and bearing of a particle have little to do with each other: that the target is at the edge of what was
-    expected of its bearing is no reason to forget its range, or to believe the range of those few alone.
+    Range and bearing of a particle have little to do with each other. A target at the edge of its expected bearings is
+    no reason to forget its range, or to believe the range of those few alone.
     """
     weighted = weigh(particles, anywhere(likelihood_of(model.sensor, hit)))
     if weighted.total**2 < (DIM + 1) * weighted.total_sq or weighted.total == 0.0:
@@ -200,8 +201,8 @@ def turn(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Gene
 def doubted(model: TrackerModel, predicted: Floats, rng: np.random.Generator) -> Floats:
     """Particles, (n, 4), every second of which has flown the last dwell at a velocity drawn anew, as at acquisition.
 
-    For a target that has turned: nearly constant velocity is the motion model, so that a belief that is left by its
-    target is wrong about the velocity first, and about the position by what follows from that.
+    For a target that has turned. The motion model is nearly constant velocity, so that a belief that is left by its
+    target is wrong about the velocity first, and about the position as a consequence.
     """
     v_max, particles = model.acquisition.v_max_km_s, predicted.copy()
     turned = particles[::2]
@@ -225,8 +226,8 @@ def _draw_ranges(model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng
 def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> Floats:
     """Grid over the ranges that are not out of the question, ascending.
 
-    The likelihood of R has a single mode (that of either law has in u, for one scan as for a product), which may be
-    metres wide in 200 km: the grid closes in on it.
+    The likelihood of R has a single mode, as either law has in u, for one scan as for a product. It may be metres wide
+    in 200 km: the grid closes in on it.
     """
     low, high = model.acquisition.ranges_km
     for _ in range(_ZOOMS):

@@ -21,7 +21,7 @@ class Bus(Protocol):
     """One process's connection. Everything arrives in one queue, read by the one thread that owns the core."""
 
     def publish(self, *messages: Message) -> None:
-        """Send messages on their topics, in order; those of one topic may travel together."""
+        """Send messages on their topics, in order; messages of one topic may travel together."""
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time. Bad messages are dropped, counted, and logged once a key."""
@@ -69,7 +69,7 @@ class Inbox:
     """Decodes what arrives; drops, counts and logs what is no valid message."""
 
     def __init__(self, build: str | None = None, parts: Parts = WHOLE) -> None:
-        """`build` of the senders; None: of any, for who only watches. `parts`: of `decode`."""
+        """`build` of the senders; None: of any, to watch only. `parts`: of `decode`."""
         self._build, self._parts = build, parts
         self._whole = {part: whole for whole, part in parts.items()}
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
@@ -136,7 +136,7 @@ class _Lane(Generic[Item]):
 class Arrivals(Generic[Item]):
     """What waits for the thread that owns the core, in the order in which it came; bounded for each name apart.
 
-    A flood of one kind takes no place of another; among those of a kind, one sender may take the place of all. Threads
+    A flood of one kind takes no place of another; within a kind, one sender may take the place of all. Threads
     of the transport put items in, and never wait here.
     """
 
@@ -245,11 +245,11 @@ class LocalNetwork:
         return bus
 
     def deliver(self, message: Message, slots: str = ALL_SLOTS) -> None:
-        """Queue a message at everybody who reads its topic; `slots` of a planner that sends it."""
+        """Queue a message at all readers of its topic; `slots` of a planner that sends it."""
         self.deliver_bytes(BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message))
 
     def deliver_bytes(self, key: str, payload: bytes) -> None:
-        """Queue the messages of a payload that came on `key` at everybody who reads them."""
+        """Queue the messages of a payload that came on `key` at all its readers."""
         for message in self.inbox.open(key, payload):
             for bus in self.endpoints:
                 if type(message) in bus.reads and is_for(message, bus.role, bus.name):

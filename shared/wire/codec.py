@@ -29,7 +29,7 @@ MAX_MAPS = MAX_TURNS + 2000  # a target is one
 MAX_LISTS = 10_000  # a state of a target is one
 MAX_ITEMS = 50_000  # in all lists
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
-_ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; those of a message are a map's
+_ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; a message is a map
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
 

@@ -20,7 +20,7 @@ class Meaning(NamedTuple):
     kind: type[CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily]
     text: str
     label: str = ""  # "": none
-    roles: str = "all"  # who has it
+    roles: str = "all"  # the roles that have it
 
 
 METRICS = {

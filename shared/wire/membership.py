@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 LEASE_S = 2.0  # after which the token of a silent process is gone
 LEAVE_AFTER_S = 0.25 * LEASE_S  # without a token; one that comes back sooner was hidden by a hiccup of the link
-RETURN_S = 1.5 * LEASE_S  # a restart of the router hides all tokens for up to 2.8 s from who is back before the others
+RETURN_S = 1.5 * LEASE_S  # a restart of the router hides all tokens for up to 2.8 s from early ones
 
 
 class LiveNames:
@@ -39,7 +39,7 @@ class LiveNames:
             self.absent[name] = now_s
 
     def expire(self, now_s: float, *, is_connected: bool) -> bool:
-        """Remove who was absent for too long; nobody while this process itself has no router. Whether any was."""
+        """Remove names that were absent for too long; none while this process itself has no router. Whether any was."""
         if not is_connected:
             self._settled_s = now_s + RETURN_S
         is_settled = now_s >= self._settled_s

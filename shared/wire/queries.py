@@ -27,7 +27,7 @@ Answer = Callable[[str, Mapping[str, str]], bytes]  # of a metric, with paramete
 
 
 class NoAnswer(RuntimeError):
-    """Nobody answered a query in time."""
+    """No process answered a query in time."""
 
 
 class BadRequest(RuntimeError):
@@ -57,7 +57,7 @@ def ask(
             if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
                 raise BadRequest(text)
         time.sleep(POLL_S)
-    raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+    raise NoAnswer(f"no process answered {metric} within {timeout_s:g} s")
 
 
 def ask_expositions(session: zenoh.Session, timeout_s: float, most: int) -> Iterator[tuple[tuple[str, str], bytes]]:
@@ -76,13 +76,13 @@ def ask_expositions(session: zenoh.Session, timeout_s: float, most: int) -> Iter
 class Alive:
     """Processes that show themselves alive behind a router."""
 
-    build: str  # of the system: its recorder's; else that of who asks
+    build: str  # of the system: its recorder's; else the build of this process
     names: dict[Role, list[str]]  # by role, of that build
-    strangers: list[str]  # those of another build or protocol: what each runs
+    strangers: list[str]  # processes of another build or protocol: what each runs
 
 
 def alive(session: zenoh.Session, own: str) -> Alive:
-    """Who shows itself alive; `own` is the build of who asks."""
+    """Processes that show themselves alive; `own` is the build of this one."""
     found = _tokens(session, ALIVE.format(protocol="*", build="*", role="*", name="*"))
     system = next((build for _, build, role, _ in found if role == Role.RECORDER), own)
     names: dict[Role, list[str]] = {}
@@ -105,8 +105,8 @@ def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:
 class Claim:
     """Of a process that wants to be the only one of its role: shown until it is dropped.
 
-    Whoever shows one, and then sees no other, is alone: another one that shows its own later sees this one. So clocks
-    decide nothing but which of several that see each other withdraws.
+    A process that shows one, and then sees no other, is alone: another one that shows its own later sees this one. So
+    clocks decide nothing but which of several that see each other withdraws.
     """
 
     def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
@@ -139,7 +139,7 @@ class Claim:
         return sorted(there), min(claims, default=self._moment) < self._moment
 
     def watch(self) -> None:
-        """From now on see who claims the role besides."""
+        """From now on see other claims of the role."""
         key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
 
         def on_token(sample: zenoh.Sample) -> None:

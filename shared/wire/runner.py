@@ -49,7 +49,7 @@ class Deferring(Protocol):
 
 @runtime_checkable
 class Preparing(Protocol):
-    """A core that can make use of the time in which nobody waits for it."""
+    """A core that can make use of idle time."""
 
     def prepare(self) -> bool:
         """Do a little, at most a few ms, of what the next event will need; false if there is nothing left to do.

@@ -119,7 +119,7 @@ def run_router(
     """Be a Zenoh router until `stop` is set, and `beat` now and then; raises ConnectionError if it cannot listen.
 
     `access` is Zenoh's access control, which needs peers with certificates, and then what is too long is not passed on;
-    None: that of `file`, if any, which is as in `open_session`.
+    None: as in `file`, if any, which is as in `open_session`.
     """
     rules = {} if access is None else {"access_control": access, "low_pass_filter": SIZES}
     try:
@@ -143,7 +143,7 @@ def run_router(
         serve(EXPOSITION, exposition)
         log.info("listening on %s", listen)
         if not (_asks_for_certificates(config, listen) or _is_true(config, "access_control/enabled")):
-            log.warning("%s is open: whoever reaches it may read and send everything (docs/howto/secure.md)", listen)
+            log.warning("%s is open: any client may read and send everything (docs/howto/secure.md)", listen)
         while not stop.wait(BEAT_S):
             beat()
 
@@ -175,7 +175,7 @@ def own_certificate(endpoints: Sequence[str], side: str) -> bytes | None:
 
 
 def _asks_for_certificates(config: zenoh.Config, listen: str) -> bool:
-    """Whether only who has a certificate gets in, wherever a router listens."""
+    """Whether only clients with a certificate get in, wherever a router listens."""
     is_encrypted = all(endpoint.startswith(ENCRYPTED) for endpoint in listen.split(","))
     return is_encrypted and _is_true(config, f"{TLS}/enable_mtls")
 
@@ -183,7 +183,7 @@ def _asks_for_certificates(config: zenoh.Config, listen: str) -> bool:
 def _check_certificates(config: zenoh.Config, listen: str, *, is_needed: bool) -> None:
     if is_needed and not _asks_for_certificates(config, listen):
         raise BadConfig(
-            f"cannot listen on {listen}: who may do what is told by certificates, so it must be tls/HOST:PORT,"
+            f"cannot listen on {listen}: rights are told by certificates, so it must be tls/HOST:PORT,"
             " with transport/link/tls/enable_mtls in the file of --zenoh-config"
         )
 
@@ -193,7 +193,7 @@ def _is_true(config: zenoh.Config, key: str) -> bool:
 
 
 def free_port() -> int:
-    """A TCP port on the loopback interface that nobody listens on just now."""
+    """A TCP port on the loopback interface that is free just now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -233,7 +233,7 @@ def _config(mode: str, file: str = "", **settings: object) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
-        "transport/unicast/open_timeout": 1000,  # ms; with the next, leaving takes half a second even if nobody answers
+        "transport/unicast/open_timeout": 1000,  # ms; with the next, leaving takes half a second even without an answer
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,  # us
     }
     for key, value in {**fixed, **{key.replace("__", "/"): value for key, value in settings.items()}}.items():

@@ -83,7 +83,7 @@ class ZenohBus:
     def __init__(self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True) -> None:
         """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks.
 
-        An operator hears every build; the others only those of their own, and whatever an operator says.
+        An operator hears every build; the others hear their own only, and whatever an operator says.
         """
         self.build = build()
         self._slots = slots_of(name) if role is Role.PLANNER else ALL_SLOTS
@@ -98,8 +98,9 @@ class ZenohBus:
         self._planners = LiveNames()
         self._routers = frozenset(map(str, session.info.routers_zid()))
         if role is Role.PLANNER:
-            # Whole, and before any message: who knew only some of the others would take tracks that are theirs. Asked
-            # first: just after the subscription, which tells of them one by one, the answer may be that there is none.
+            # Whole, and before any message: a planner that knew only some of the others would take tracks that are
+            # theirs. Asked first: just after the subscription, which tells of them one by one, the answer may be that
+            # there is none.
             self._planners = LiveNames({name, *names_alive(session, self.build, role)})
             self._queue.put(self._membership())
             tokens = session.liveliness().declare_subscriber(token(name="*"), self._on_token, history=True)
@@ -272,7 +273,7 @@ class ZenohBus:
     def _expired(self) -> Membership | None:
         if not self._planners.absent:
             return None
-        # A router that was started again in a moment when nobody looked hides all tokens, too.
+        # A router that was started again between two looks hides all tokens, too.
         before, self._routers = self._routers, frozenset(map(str, self._session.info.routers_zid()))
         is_connected = bool(self._routers) and self._routers == before
         has_changed = self._planners.expire(time.monotonic(), is_connected=is_connected)
@@ -325,7 +326,7 @@ class Listener:
 
 
 def _fits(lot: Sequence[_Encoded], encoded: _Encoded) -> bool:
-    """Whether a message may travel with those of a lot."""
+    """Whether a message may travel with a lot."""
     first, n_byte = lot[0].message, sum(len(before.payload) for before in lot)
     alike = type(first) is type(encoded.message) and first.run == encoded.message.run
     return alike and len(lot) < MAX_LOT and n_byte + len(encoded.payload) <= LOT_BYTES

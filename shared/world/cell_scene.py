@@ -3,7 +3,7 @@
 What is simplified: each cell is a resolution cell with one echo of its own, y = sum_j alpha_j v(nu_j) + c with a fresh
 disturbance c per bin, range cell and dwell. With bins a target echoes in its own bin only, from the bin's centre:
 nothing leaks into other bins, and nothing is lost by straddling two. With steered cells it echoes from where it is,
-nu_j, in every cell in whose main lobe it is, |nu_j - nu_c| < 1/n_rx, and in its own range cell; sidelobes, and the
+nu_j, in every cell in whose main lobe it is, |nu_j - nu_c| < 1/n_rx, and in its own range cell. Sidelobes, and the
 grating image beyond nu = +-0.5, are not modelled. Of range cells only those with a target in the main lobe are
 computed; of the others the largest statistic is drawn from its distribution.
 """

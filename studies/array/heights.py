@@ -1,6 +1,6 @@
 """Targets at a height, of which a linear array measures the cone: are the estimates on the ground what they claim?
 
-The runs are those of a sweep over `radar.assumes.height_max_km`. The last column is the error of a radar that knows
+The runs are from a sweep over `radar.assumes.height_max_km`. The last column is the error of a radar that knows
 the plane of the array exactly: what the unknown height leaves.
 """
 

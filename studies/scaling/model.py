@@ -1,10 +1,10 @@
 """From measured dwells to many targets: cores and bandwidth.
 
-Assumptions, stated with the table: targets are spread over radars of thirty, each a run of its own; a role's CPU time
-per dwell is that of the measured dwell of thirty targets, with one planner, transport's threads included; it adds up
-over radars, and over dwells with their rate. One process per system serves the emulator, the allocator, metrics and the
-router, so where one of them needs more than a core, the radars are shared out over so many systems. Within a radar the
-planners share the tracks evenly, and a dwell must end within its period.
+Assumptions, stated with the table. Targets are spread over radars of thirty, each a run of its own. A role's CPU time
+per dwell is as measured for thirty targets with one planner, with the transport's threads. It adds up over radars, and
+over dwells with their rate. One process per system serves the emulator, the allocator, metrics and the router, so where
+one of them needs more than a core, the radars are shared out over so many systems. Within a radar the planners share
+the tracks evenly, and a dwell must end within its period.
 """
 
 import math

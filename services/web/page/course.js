@@ -1,4 +1,4 @@
-// The chosen target over the run, or where nobody knows how many targets there are, the chosen track over its life.
+// The chosen target over the run, or with an unknown number of targets, the chosen track over its life.
 
 import { Latest, ask, runPath } from "./api.js";
 import { STATE_TEXT } from "./dwells.js";
@@ -84,7 +84,7 @@ export class Course {
 
   blank(text) {
     window.Plotly?.purge(this.node);
-    this.isHeard = false; // whoever listened to the chart went with it
+    this.isHeard = false; // its listeners went with the chart
     this.node.replaceChildren(this.marker(), make("p", "message", text));
     this.node.setAttribute("aria-label", text || "No course");
   }

@@ -80,7 +80,7 @@ export class Dwells {
   }
 }
 
-// Where nobody told the radar how many targets there are, its tracks are what is listed, coloured and chosen, by their
+// With an unknown number of targets, the tracks are what is listed, coloured and chosen, by their
 // numbers, each with what is known of the target that it follows; `truths` are the targets.
 function byTrack(dwell) {
   if (!dwell.tracks) return dwell;

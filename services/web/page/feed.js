@@ -13,7 +13,7 @@ export class Feed {
   }
 
   // Begins with the newest dwell, also after an outage: from where it broke off, the stream would stay behind. What is
-  // missing of the picture is asked for by whoever draws it.
+  // missing of the picture is asked for by the part that draws it.
   open() {
     const source = new EventSource(eventsOf(this.run));
     this.source = source;

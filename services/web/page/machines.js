@@ -109,7 +109,7 @@ export class Machines {
   owners(owners, all, now) {
     const node = byId("owners");
     if (!owners) {
-      node.replaceChildren(make("p", "muted", this.run ? "This run is over, or not played on these services: nobody owns its tracks." : "No run."));
+      node.replaceChildren(make("p", "muted", this.run ? "This run is over, or does not run on these services: its tracks have no owner." : "No run."));
       return;
     }
     const owned = Object.entries(owners).map(([track, name]) => [Number(track), name]);
@@ -117,7 +117,7 @@ export class Machines {
       const before = this.owner.get(track);
       if (before !== undefined && before !== name) {
         this.moved.set(track, now);
-        this.say(`track ${track}: ${before ?? "nobody"} → ${name ?? "nobody"}`, false);
+        this.say(`track ${track}: ${before ?? "no owner"} → ${name ?? "no owner"}`, false);
       }
       this.owner.set(track, name);
     }

@@ -7,7 +7,7 @@ export const CONFIG = { displayModeBar: false, responsive: false, doubleClick: f
 
 let loading = null;
 
-// The library, or null if it cannot be had now: whoever draws next asks again.
+// The library, or null if it cannot be had now: the next drawing asks again.
 export function library() {
   loading ??= new Promise((resolve) => {
     const script = document.createElement("script");

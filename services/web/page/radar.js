@@ -185,7 +185,7 @@ function losses(before, now) {
   return found;
 }
 
-// Tracks, where nobody knows how many targets there are, that were confirmed or have ended; tentative ones come and go.
+// Tracks, with an unknown number of targets, that were confirmed or have ended; tentative ones come and go.
 function changes(before, now) {
   const began = [...now].filter(([track, state]) => isConfirmed(state) && !isConfirmed(before.get(track)));
   const ended = [...before].filter(([track, state]) => isConfirmed(state) && !isConfirmed(now.get(track)));
@@ -194,7 +194,7 @@ function changes(before, now) {
 
 const isConfirmed = (state) => state !== undefined && state !== "tentative" && state !== "ended";
 
-// From what caused it until it is on the screen; for whoever watches the page's speed.
+// From what caused it until it is on the screen; shows the page's speed.
 function measure(start) {
   requestAnimationFrame(() => {
     performance.measure("dwell", { start, end: performance.now() });

@@ -103,7 +103,7 @@ export function resultOf({ status, reason }) {
   return reason ? `${status}: ${reason}` : status;
 }
 
-// When, by the clock of who looks: the time, and of another day the date.
+// When, by the clock of the browser: the time, and of another day the date.
 function clock(utc) {
   const when = new Date(utc);
   const time = when.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });

@@ -101,7 +101,7 @@ function beams(frame, { dwell, target }) {
   context.globalAlpha = 1;
 }
 
-// Where targets that nobody announced are searched for.
+// Where the search for an unknown number of targets looks.
 function search(frame, edges) {
   const { context } = frame;
   context.setLineDash([5, 4]);

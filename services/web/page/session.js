@@ -12,7 +12,7 @@ import { SPEEDS, show, view } from "./view.js";
 const capital = (text) => text[0].toUpperCase() + text.slice(1);
 const AGAIN_MS = 2000;
 const PATIENT_MS = 500; // for a dwell that is asked for
-const MANY_TRACKS = 100; // at a time, where nobody knows their number
+const MANY_TRACKS = 100; // at a time, if their number is unknown
 const FILL_MS = 1000; // how often what a live stream leaves out is asked for
 
 export class Session {

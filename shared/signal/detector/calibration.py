@@ -6,7 +6,7 @@ complex gains of the antennas, 1 as assumed; C disturbance.
     Y_k = alpha_k (W^T (e_T o a_T(nu))) (e_R o a_R(nu))^T + C_k
 
 The sign of the steering vector is tested with nu and -nu at both ends, with the data and their conjugate, with rows and
-columns as they are and exchanged: the simplest that explains the echo is what was recorded. A mirrored end has its
+columns as they are and exchanged. The simplest that explains the echo is what was recorded. A mirrored end has its
 antennas counted from the other side; conjugate data are mirrored at both. What was found is undone, and the three
 factors alpha_k, transmit and receive half are fitted in turn (alternating least squares).
 """

@@ -126,7 +126,7 @@ def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit: Looks) ->
 
         (M - 1) / n_bin  p(r),   p(r) = R / (2 r (R_max - R_min)),   r = |alpha(R)| / sigma, R uniform
 
-    times a level's width, as that of the own echo. With cells of their own choice tracks come upon the echoes of
+    times a level's width, as for the own echo. With cells of their own choice tracks come upon the echoes of
     others. A detection that was not expected in its bin is the own one all the same: it was looked for there. If
     nothing is known of the RCS no amplitude is another's.
     """
@@ -211,7 +211,7 @@ def recover(model: TrackerModel, posterior: Update, looks: Looks, rng: np.random
     When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
     that bin, wherever the particles are: positions are redrawn there, velocities kept; only bearings are, if a few
     particles did explain it. Where the belief expected its target, and the amplitude alone is what it cannot explain,
-    it keeps the ranges of the particles in that bin: two aircraft in one bin have one echo, and the track of the weaker
+    it keeps the ranges of the particles in that bin. Two aircraft in one bin have one echo, and the track of the weaker
     one would follow the stronger one to the end. After a miss it has left the cells looked at: the belief is widened
     until enough of it lies where the target may have gone.
     """
@@ -272,7 +272,7 @@ STEPS = {  # by `radar.belief.filter`
 def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Particles spread out to twice their covariance and by the width of an angle bin at their range.
 
-    The bin's width, 2 R/(n_bin - 1) at boresight, is what separates a cell that was missed from the next one; without
+    The bin's width, 2 R/(n_bin - 1) at boresight, is what separates a cell that was missed from the next one. Without
     it a belief that has collapsed onto one ancestor would stay where it is.
     """
     n = particles.shape[0]

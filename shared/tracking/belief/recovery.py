@@ -29,10 +29,10 @@ def reacquire(
     A detection explains itself and is remembered. Too many misses say that the model was wrong, most often about a
     velocity while the target was in one wide bin: their probability falls below `reacquire_below`. Half of the
     particles then stay what the model makes of them. The others are the target's belief at its last detection with all
-    that is doubted forgotten: velocities as at its acquisition; every second range drawn anew from that detection
-    alone; and, from the second attempt on, positions widened once per attempt. They live through the misses since, so
-    that the cells seen empty stay excluded. The weights of the dwells that follow decide between the halves; nothing is
-    drawn while nothing is doubted.
+    that is doubted forgotten. Velocities are as at its acquisition, and every second range is drawn anew from that
+    detection alone. From the second attempt on positions are widened once per attempt. They live through the misses
+    since, so that the cells seen empty stay excluded. The weights of the dwells that follow decide between the halves;
+    nothing is drawn while nothing is doubted.
     """
     if looks.is_hit:
         return state._replace(belief=Particles(updated.particles), depleted=updated.depleted, **remembered_hit(looks))
@@ -46,7 +46,7 @@ def reacquire(
 
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
-    """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
+    """The state after a dwell of which nothing is known; particles that begin again live through that dwell, too."""
     missed = _remember_miss(model, state, np.zeros(model.response.memory_width), evidence=1.0)
     return _bounded(missed)._replace(belief=Particles(predicted))
 

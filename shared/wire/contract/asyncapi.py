@@ -1,4 +1,4 @@
-"""Who tells whom, on which keys and how, as AsyncAPI 3.0."""
+"""Senders and readers, on which keys and how, as AsyncAPI 3.0."""
 
 import re
 from typing import Any

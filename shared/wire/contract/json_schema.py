@@ -76,10 +76,10 @@ def document() -> Schema:
         "description": (
             "A message is MessagePack. It has the same maps, lists, numbers and texts in JSON, with two exceptions: an"
             f" array is an extension value of type {ARRAY} in MessagePack, an object with dtype, shape and values in"
-            " JSON; bytes are an object with base64. x-msgpack says what the extension value holds: two letters for"
-            " the kind of its elements, a byte for the number of axes, four for the length of each, and the elements,"
-            " the last axis fastest, all little-endian. A schema cannot say how fields depend on each other: receivers"
-            " check that, too."
+            " JSON. Bytes are an object with base64. The key x-msgpack says what the extension value holds. These are"
+            " two letters for the kind of its elements, a byte for the number of axes, four for the length of each, and"
+            " the elements, the last axis fastest, all little-endian. A schema cannot say how fields depend on each"
+            " other: receivers check that, too."
         ),
         "oneOf": [{"$ref": f"#/$defs/{kind.__name__}{ENVELOPE}"} for kind in KINDS],
         "$defs": schemas,

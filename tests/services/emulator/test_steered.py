@@ -100,7 +100,7 @@ def test_a_scan_says_what_was_looked_at() -> None:
     ("changed", "reason"),
     [
         ({"nus": None, "gates": None}, "without directions: cells are steered"),
-        ({"nus": NUS - 0.2}, "not those of their directions"),
+        ({"nus": NUS - 0.2}, "do not match their directions"),
     ],
 )
 def test_a_waveform_of_other_cells_is_refused(changed: dict[str, Any], reason: str) -> None:
@@ -141,7 +141,7 @@ N = 3
         ({"nus": np.array([-0.3, 0.19, 0.22])}, "lacks the direction"),
         ({"nus": np.array([-0.4, 0.19, 0.21])}, "bins are not those"),
         ({"nus": np.array([-0.7, 0.19, 0.21])}, "bins are not those"),
-        ({"beam_nus": NUS - 0.2}, "not those of their directions"),
+        ({"beam_nus": NUS - 0.2}, "do not match their directions"),
         ({"limits": np.zeros(N)}, "limits must be > 0"),
         ({"ranges_km": -np.ones(N)}, "ranges and standard deviations"),
         ({"ranges_km": np.zeros(N)}, "other than radar.receiver says"),

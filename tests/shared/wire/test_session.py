@@ -70,9 +70,9 @@ def test_a_router_without_certificates_says_that_it_is_open(caplog: pytest.LogCa
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with caplog.at_level(logging.WARNING):
         _while_listening(endpoint, lambda at: open_session([at], 10.0, lambda: None).close())
-    assert f"{endpoint} is open: whoever reaches it may read and send everything" in caplog.text
+    assert f"{endpoint} is open: any client may read and send everything" in caplog.text
 
 
 def test_who_may_do_what_needs_certificates() -> None:
-    with pytest.raises(BadConfig, match="who may do what is told by certificates, so it must be tls/HOST:PORT"):
+    with pytest.raises(BadConfig, match="rights are told by certificates, so it must be tls/HOST:PORT"):
         run_router("tcp/127.0.0.1:0", threading.Event(), access={"enabled": True})
