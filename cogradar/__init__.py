@@ -1,8 +1,8 @@
-"""cogradar in Python: load a scenario, play it, ask about runs.
+"""cogradar in Python: load a scenario, run it, ask about runs.
 
     import cogradar
 
-    result = cogradar.run("paper", strategy="power-aware", seed=1)    # plays it here
+    result = cogradar.run("paper", strategy="power-aware", seed=1)    # runs it here
     result.true_states, result.estimates       # (dwells, targets, 4) of [x, vx, y, vy], km and km/s
     result.p_d, result.position_rmse_km  # (targets,)
     result.detections().to_pandas()      # and tracks(), truth(), waveforms(): tables, a row per thing and dwell

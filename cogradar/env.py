@@ -211,9 +211,9 @@ class PaperEnv(_Radar):
 
     Action      : "bins", (M,), the bin that each track is looked for in, and "weights", (M,), 0 .. 1, what the power is
                   split in proportion to; with actions="bins" it is split evenly
-    Observation : of the belief after the last dwell: "mean" (M, 4), [x, vx, y, vy] in km and km/s, "covariance"
-                  (M, 4, 4), "range_km" and "gain" (M,), expected in the next dwell, "detected" (M,), "best_bin" (M,),
-                  the most probable one of the next dwell
+    Observation : Of the belief after the last dwell: "mean" (M, 4), [x, vx, y, vy] in km and km/s, and "covariance"
+                  (M, 4, 4). Of the last dwell: "detected" (M,). Expected in the next dwell: "range_km" and "gain" (M,),
+                  and "best_bin" (M,), the most probable one.
     Reward      : one of `REWARDS`
     """
 
@@ -274,7 +274,7 @@ class SkyEnv(_Radar):
     Action      : "weights", (SLOTS,), 0 .. 1, of the tracks, and "search", (1,), of all beams of the search together:
                   what the power is split in proportion to
     Observation : as of `PaperEnv`, (SLOTS, ...), in the order of the tracks' numbers; "existence" (SLOTS,) is their
-                  probability of existence, 0 where there is no track; one that has just begun has no belief yet
+                  probability of existence, 0 where there is no track. One that has just begun has no belief yet.
     """
 
     def __init__(

@@ -155,7 +155,7 @@ class Playing(TypedDict, total=False):
     set         : settings as `--set` takes them, ["radar.array.n_tx=32"], or {"radar.array.n_tx": 32}
     strategy    : how the power is spread: "orthogonal", "uniform" or "power-aware", which is the default; or your own,
                   "PATH.py:NAME" or an object (`cogradar.plugins`), as of the next four
-    rule        : rule of looking, in place of `radar.planner.rule`
+    rule        : action-selection policy, in place of `radar.planner.rule`
     objective   : in place of `radar.allocation.objective`
     disturbance : in place of `world.disturbance.model`
     belief      : in place of `radar.belief.filter`

@@ -29,14 +29,19 @@ def is_greedy_optimal(share: ArrayLike, detected: ArrayLike, gamma: float, depth
     False means that this does not tell.
 
     Proof. Looks do not move targets, and a reward is at most 1 and depends on state and look only. Let B be the belief
-    predicted for the next dwell but one, and B_o the part of it that goes with what the look says, o: measures, with
-    sum_o B_o = B, whichever bin is looked at. V of a measure is the best expected sum of the later rewards, so
-    (i)   V(B) <= sum_o V(B_o): a radar that is told o may still look as if it were not;
-    (ii)  V(B_o) <= V(B) for B_o <= B: every plan of looks is worth more, or as much, under the larger measure;
-    (iii) gamma V(B_o) <= g B_o(all states): no more than every later reward.
+    predicted for the next dwell but one. Let B_o be the part of it that goes with what the look says, o. These are
+    measures, with sum_o B_o = B, whichever bin is looked at. V of a measure is the best expected sum of the later
+    rewards, with three properties:
+
+        (i)   V(B) <= sum_o V(B_o): a radar that is told o may still look as if it were not;
+        (ii)  V(B_o) <= V(B) for B_o <= B: every plan of looks is worth more, or as much, under the larger measure;
+        (iii) gamma V(B_o) <= g B_o(all states): no more than every later reward.
+
     The target is not in j, or is not detected there: nothing, o = 0. Else it is, with probability p_j d_j. Hence
+
         Q(1) = p_1 + gamma sum_o V(B_o) >= p_1 + gamma V(B)                                                     by (i),
         Q(j) = p_j + gamma V(B_0) + gamma sum_{o > 0} V(B_o) <= p_j + gamma V(B) + g p_j d_j         by (ii) and (iii),
+
     where B_o is of 1 in the first line and of j in the second. So Q(j) > Q(1) only if p_1 - p_j < g p_j d_j.
     A rollout that is worth the same in all states adds the same to both. QED
     """

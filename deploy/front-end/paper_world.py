@@ -4,8 +4,8 @@
     cogradar run paper --seed 3 --front-end zenoh:roof@tcp/127.0.0.1:7448
 
 It imports no cogradar, and `cogradar run paper --seed 3` has the same digest. Each number therefore has the last bit of
-cogradar's: sums have one order (`last`, `product`), complex products are taken by their parts (`times`), and nothing of
-BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). docs/explanation/model.md has the symbols.
+cogradar's: sums have one order (`last`, `product`), and complex products are taken by their parts (`times`). Nothing of
+BLAS or LAPACK is called (docs/adr/0042-one-arithmetic.md). Symbols are in docs/explanation/model.md.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""A belief: what is known of one target. `cogradar run paper --set radar.belief.filter=FILE.py:Bootstrap` plays it."""
+"""A belief: what is known of one target. `cogradar run paper --set radar.belief.filter=FILE.py:Bootstrap` uses it."""
 
 import numpy as np
 from numpy.typing import NDArray

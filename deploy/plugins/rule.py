@@ -1,4 +1,4 @@
-"""A rule of looking: which angle bin a track asks for next. `cogradar run paper --rule FILE.py:ahead` plays it."""
+"""An action-selection policy: which angle bin a track asks for. `cogradar run paper --rule FILE.py:ahead` uses it."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""A strategy: how the power is spread. `cogradar run paper --strategy FILE.py:strongest` plays it."""
+"""A strategy: how the power is spread. `cogradar run paper --strategy FILE.py:strongest` uses it."""
 
 import numpy as np
 

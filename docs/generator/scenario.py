@@ -62,7 +62,7 @@ def strategies() -> str:
 
 
 def bin_rules() -> str:
-    """The names of the rules of looking, and what each says of itself."""
+    """The names of the action-selection policies, and what each says of itself."""
     return _named("rule", "what it asks for", RULE)
 
 

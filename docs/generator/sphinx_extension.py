@@ -16,7 +16,7 @@ from docs.generator import messages, numbers, programs, scenario, wire
 PARTS: dict[str, Callable[[], str]] = {
     "scenario keys": scenario.keys,
     "strategies": scenario.strategies,
-    "rules of looking": scenario.bin_rules,
+    "action-selection policies": scenario.bin_rules,
     "fidelities": scenario.fidelities,
     "objectives": scenario.objectives,
     "supported radars": scenario.radars,

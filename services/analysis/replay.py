@@ -72,7 +72,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
     rule = stored.scenario.radar.planner.rule
     if to == "planner" and rule in TRUE_RULES:
-        raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
+        raise BadInput(f"{stored.name}: its policy, {rule}, knows the truth, which a planner alone does not")
     load_for(to, stored.start.scenario["radar"], stored.start.strategy)
     make, fed, compared = CORES[to]
     first = int(stored.row["kept_k"])

@@ -336,9 +336,9 @@ def check(
     if loaded.world is not None:
         print_tables(out, [check_table(expected)])
         say(
-            "SNR of one virtual channel over the disturbance's mean level; array: after the gain of all of them, with"
-            " all power on this target; disturbance: its level towards the target, relative to the mean, which the"
-            " detector has to beat as well; "
+            "SNR: of one virtual channel over the disturbance's mean level. Array: after the gain of all of them, with"
+            " all power on this target. Disturbance: its level towards the target, relative to the mean, which the"
+            " detector has to beat as well. "
             + (
                 "P_D: to be expected at the start with each strategy's power, if every track asks for its target's bin"
                 if radar.search is None

@@ -32,7 +32,7 @@ def checked(incomplete: str) -> list[str]:
 
 
 def rules(incomplete: str) -> list[str]:
-    """Rules of looking, and Python files with one's own."""
+    """Action-selection policies, and Python files with one's own."""
     return _beginning_with(incomplete, RULES) + _files(incomplete, ".py")
 
 

@@ -127,7 +127,7 @@ RuleOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help=f"Rule of looking, as --set radar.planner.rule=NAME: {names_of(RULE.built_in)}.",
+        help=f"Action-selection policy, as --set radar.planner.rule=NAME: {names_of(RULE.built_in)}.",
         autocompletion=completion.rules,
     ),
 ]

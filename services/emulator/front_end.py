@@ -159,10 +159,10 @@ def receive(
     """What the radar's receiver makes of what an array received in a dwell.
 
     data : (n_tx, n_rx) complex, Y after matched filtering: a row for each transmitted waveform, a column for each
-           receive antenna; with range cells one of each, by number: cell i begins at i times
-           `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there.
-           A look without any data is left out, and a track's look without the data of one of its range cells. A look
-           at all ranges reports what was received, and `lost_km` what was not. Detections change nothing of this.
+           receive antenna. With range cells one of each, by number: cell i begins at i times
+           `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there. A look without any
+           data is left out, and a track's look without the data of one of its range cells. A look at all ranges reports
+           what was received, and `lost_km` what was not. Detections change nothing of this.
     Raises SenselessScan if data have another shape, or a range cell a number that none has.
     """
     array, width_km = radar.array, radar.receiver.range_cell_km

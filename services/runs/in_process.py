@@ -62,7 +62,7 @@ def steps(
     store     : where its messages go, and the scores are read
     front_end : a name of `cogradar.services.front_ends`
 
-    Rules of looking that know the truth can be played here only.
+    Action-selection policies that know the truth can be played here only.
 
     Raises BadInput if it has no end, RunFailed if it does not reach it, Interrupted if `stop` is set meanwhile.
     """

@@ -1,4 +1,4 @@
-"""Rules of looking that know the truth: a planner whose plans are put right on their way out, in process only.
+"""Policies that know the truth: a planner whose plans are put right on their way out, in process only.
 
 No planner is told where its target is, by a message or otherwise: it answers as if its rule were `mode`, and this,
 which stands outside, puts the bin into the plan. Where targets fly does not depend on what is transmitted.
@@ -25,7 +25,7 @@ from cogradar.shared.world.targets import Flights
 
 
 class TrueRule(Protocol):
-    """A rule of looking that knows the truth; `cogradar.shared.scenario.tables.TRUE_RULES` has its name."""
+    """An action-selection policy that knows the truth; `cogradar.shared.scenario.tables.TRUE_RULES` has its name."""
 
     def __call__(self, state: NDArray[np.float64], n_bin: int) -> int:
         """Bin to look at, given the true state at the next dwell, (4,), as the array measures it (`array.in_plane`)."""

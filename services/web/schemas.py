@@ -240,7 +240,7 @@ class PriorityDocument(Document):
 
 
 class SettingDocument(Document):
-    """Set the run's strategy, the radar's rule of looking or its objective of allocation, until it is set again."""
+    """Set the run's strategy, the action-selection policy or the objective of allocation, until it is set again."""
 
     kind: Literal["set"]
     key: Literal["strategy", "rule", "objective"]

@@ -34,7 +34,7 @@ class Choice(NamedTuple):
 
 
 class BinRule(Protocol):
-    """A rule of looking. `has_time` is false as soon as the answer is due; without it there is all the time."""
+    """An action-selection policy. `has_time` is false once the answer is due; without it there is all the time."""
 
     def __call__(
         self,

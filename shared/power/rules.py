@@ -35,7 +35,7 @@ _NOWHERE, _NOBODY, _ALIKE, _FREE = np.zeros(0, np.int64), np.zeros(0, np.bool_),
 class Requests(NamedTuple):
     """What M tracks ask for in one dwell; C = 1 for one cell each."""
 
-    nus: Floats  # (M, C) directions of each track's cells, the first by its rule of looking
+    nus: Floats  # (M, C) directions of each track's cells, the first by its action-selection policy
     chances: Floats  # (M, C) probability that its target is in the cell; 0: no further one
     ranges_km: Floats  # (M,) > 0, expected
     gains: Floats  # (M,) zeta / w of a target that is lit by a beam of power w: its P_D is Q_1(sqrt zeta, sqrt lambda)

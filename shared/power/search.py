@@ -42,8 +42,8 @@ def search_directions(
     A sweep makes as many visits to each bin as `times` says, one without a command. It goes in steps of the golden
     section of the field of view, so that the beams of a dwell are far apart. Every second sweep is half a bin further,
     since a target at the border of two bins is met with a sixth of its power. With "auto" it makes as many beams as the
-    power allows to find the echo that the radar expects from the end of its range with a probability of P_D, but as
-    many that a sweep takes LONGEST dwells at most.
+    power allows. Each then finds the echo that the radar expects from the end of its range with a probability of P_D.
+    It makes at least so many that a sweep takes LONGEST dwells at most.
 
     first : number of the first beam, counted from the first one of the run
     power : of the search in this dwell

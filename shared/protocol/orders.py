@@ -120,7 +120,7 @@ class Accuracy(Compared):
 
 
 class Setting(Compared):
-    """Set the run's strategy, the radar's rule of looking, or its objective of allocation, until it is set again."""
+    """Set the run's strategy, the action-selection policy or the objective of allocation, until it is set again."""
 
     kind: Literal["set"] = "set"
     key: Literal["strategy", "rule", "objective"]

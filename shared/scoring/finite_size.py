@@ -87,10 +87,11 @@ def finite_size(model: str, nu: float, v: NDArray[np.complex128], noise: str = "
 def _by_lags(model: str, nu: float, v: NDArray[np.complex128]) -> FiniteSize:
     """Exact first moment of B and the Blackman-Tukey approximation of its second.
 
-    E[B] = sum_{|m|<=l} r_m sum_n v_n^* v_{n-m}, less the share (2l+1)/N that fitting alpha_hat takes out;
-    var[B] / ||v||^4 = (1/N) int (D_l(nu - nu') - b)^2 S_c(nu')^2 dnu', D_l the Dirichlet kernel of 2l+1 lags, b =
-    E[B] / ||v||^2: the disturbance is normalised to sample power 1, so that b of what B varies with is taken out again,
-    and with it, to first order, all that heavy tails would add (Bartlett's formula of ratios of autocovariances).
+    E[B] = sum_{|m|<=l} r_m sum_n v_n^* v_{n-m}, less the share (2l+1)/N that fitting alpha_hat takes out.
+    The variance is var[B] / ||v||^4 = (1/N) int (D_l(nu - nu') - b)^2 S_c(nu')^2 dnu', with D_l the Dirichlet kernel of
+    2l+1 lags and b = E[B] / ||v||^2. The disturbance is normalised to sample power 1, so that b of what B varies with
+    is taken out again. With it goes, to first order, all that heavy tails would add (Bartlett's formula of ratios of
+    autocovariances).
 
     model : of `disturbance.draw`; a texture scales B and |alpha_hat|^2 alike
     nu    : spatial frequency of the cell; v : (N,) complex, its signature

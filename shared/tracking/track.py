@@ -116,10 +116,10 @@ def observe(
 ) -> TrackState:
     """State after one more scan.
 
-    associate: which looks are the track's, and which detection
-    condition: the belief that they leave, predicted and weighed
-    recover:   from misses in a row that are too improbable, where the filter must
-    judge:     whether there is a target at all
+    associate : which looks are the track's, and which detection
+    condition : the belief that they leave, predicted and weighed
+    recover   : from misses in a row that are too improbable, where the filter must
+    judge     : whether there is a target at all
 
     A prediction saves time and changes nothing; one of another state is ignored. A dwell in which no cell was lit for
     the track tells it nothing: it coasts, and nothing was missed. So does one in which the echo of another target hides

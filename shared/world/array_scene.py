@@ -17,7 +17,7 @@ Directions have no grid and a look no reach: a target is heard through the sidel
 A recorded disturbance is cut out of its file (`cogradar.shared.signal.recording`): dwell k has the k-th part of it.
 
 Exact are all range cells with an echo, and all range cells of all looks while a jammer is on, or with clutter or a
-recording: each look of such a cell is tested with its Y. Of the other cells of a look the largest statistic is drawn
+recording. Each look of such a cell is tested with its Y. Of the other cells of a look the largest statistic is drawn
 from its distribution (`Scene`), independent of other looks. Without range cells all is exact.
 """
 

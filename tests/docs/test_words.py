@@ -61,25 +61,33 @@ def sentences(text: str) -> Iterator[str]:
     yield from re.split(r"(?<=[.!?:])\s+(?=[\"'(*_]*[A-Z0-9])|\n\s*\n", " ".join(text.split()))
 
 
-def texts_of(source: str) -> Iterator[str]:
-    """Docstrings, other texts and comments of a program. Each item of a list of names or symbols is one, SQL is none.
+def prose(text: str) -> str:
+    """A text without formulas and examples: paragraphs that are indented further than the others."""
+    indents = [len(line) - len(line.lstrip()) for line in text.splitlines()[1:] if line.strip()]
+    formula = " " * (min(indents, default=0) + 4)
+    blocks = re.split(r"\n[ \t]*\n", text)
+    return "\n\n".join(block for block in blocks if not all(line.startswith(formula) for line in block.splitlines()))
 
-    A comment goes on in lines of its own. A comment behind code begins anew: fields have one each.
+
+def texts_of(source: str) -> Iterator[str]:
+    """Docstrings, other texts and comments of a program, without SQL and indented formulas.
+
+    Each item of a list of names or symbols is a text. Adjacent lines of comments are one, a comment behind code is one.
     """
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and not SQL.search(node.value):
-            for text in ITEM.split(node.value):
+            for text in ITEM.split(prose(node.value)):
                 yield from text.split(";") if "Symbols:" in text else [text]
     comment: list[str] = []
-    last = 0
+    last = -1  # line of the comment before, if nothing else is on it
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            behind_code = token.line[: token.start[1]].strip()
-            if behind_code or token.start[0] != last + 1:
+            is_alone = not token.line[: token.start[1]].strip()
+            if not is_alone or token.start[0] != last + 1:
                 yield " ".join(comment)
                 comment = []
             comment.append(token.string.lstrip("# "))
-            last = token.start[0]
+            last = token.start[0] if is_alone else -1
     yield " ".join(comment)
 
 

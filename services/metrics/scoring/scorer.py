@@ -174,9 +174,9 @@ class Scorer:
         return [None if isnan(value) else value for value in found.tolist()]
 
     def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[list[bool | None], Any, Any]:
-        """Of each target: whether a cell that holds it was over its limit, for any track; the largest ||v||^2 that an
-        echo from there met, 0: none tested; and whether a direction within half a bin was lit for each track. The first
-        is None if a look that would have heard it was not measured, whatever others found.
+        """Of each target: whether a cell that holds it was over its limit, for any track. Then the largest ||v||^2 that
+        an echo from there met, 0: none tested, and whether a direction within half a bin was lit for each track. The
+        first is None if a look that would have heard it was not measured, whatever others found.
         """
         states, rows = _measured(truth), self._scan_rows.read(scan)
         detected, met, lit = self._scan_rows.seen(rows, states)

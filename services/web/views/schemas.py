@@ -283,7 +283,7 @@ class Timeline(Document):
 class Particles(Document):
     """At most 1500 particles of the belief about a target after a dwell, km; each as likely as the others.
 
-    Of that of a track, if one is asked for in place of a target.
+    Of a track's belief, if one is asked for in place of a target.
     """
 
     run: str
