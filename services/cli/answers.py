@@ -89,8 +89,8 @@ def query(
     seed: SeedFilter = None,
     target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="So many rows at most.")] = None,
-    offset: Annotated[int | None, typer.Option(min=0, help="Leave so many rows out first.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Print at most this many rows.")] = None,
+    offset: Annotated[int | None, typer.Option(min=0, help="Skip this many rows first.")] = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
     store: StoreOption = None,
@@ -170,7 +170,7 @@ def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
 
 
 def export(
-    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where it goes; -: a table to standard output.")],
+    file: Annotated[str, typer.Option("--out", metavar="FILE", help="File to write; -: a table to standard output.")],
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
@@ -193,7 +193,7 @@ def export(
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b; of all formats.")] = None,
     rate: Annotated[
         float | None,
-        typer.Option(min=1.0, max=50.0, metavar="HZ", help="Of a clip: dwells per second; 10 if left out."),
+        typer.Option(min=1.0, max=50.0, metavar="HZ", help="Dwells per second of a clip; 10 if left out."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
@@ -235,8 +235,8 @@ def replay(
     """Feed a stored run into one core, and compare its answers bit for bit.
 
     The exit code is 1 if an answer differs; the first difference is printed.
-    After a change of a planner this shows whether, and from which dwell on, it
-    decides otherwise.
+    After a change of a planner this shows the first dwell in which it decides
+    otherwise.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -310,9 +310,9 @@ def feed(
 ) -> None:
     """Send the tracks of a run to other systems: maps, displays, control centres.
 
-    Without RUN it follows the newest run, and those that begin after it, until
-    Ctrl-C. Each picture has all tracks, so that a display which joins late is
-    complete after one dwell; at the end all tracks are dropped. The scenario's
+    Without RUN it follows the newest run, and later ones, until Ctrl-C. Each
+    picture has all tracks, so that a display which joins late is complete
+    after one dwell; at the end all tracks are dropped. The scenario's
     table `site` says where the radar stands, or else --site does.
     """
     from cogradar.services.feed import feed as feeding

@@ -98,8 +98,8 @@ def service(
     name: Annotated[
         str | None,
         typer.Option(
-            help="Unique name of this process; made up if left out. Of a planner, [NAME]@FIRST-LAST: it plans for some"
-            " of 16 slots of tracks only; left out, for the slots of its certificate."
+            help="Unique name of this process; random if left out. A planner named [NAME]@FIRST-LAST plans for these of"
+            " 16 slots of tracks only; left out, for the slots of its certificate."
         ),
     ] = None,
     store: Annotated[
@@ -139,7 +139,7 @@ def service(
         typer.Option(
             envvar="COGRADAR_SCENARIO",
             autocompletion=completion.scenarios,
-            help="Operator: play this, seed after seed; empty: nothing.",
+            help="Operator: run this scenario, seed after seed; empty: no runs.",
         ),
     ] = "",
     settings: SetOption = None,
@@ -223,7 +223,7 @@ def scenarios(
 
 def sky(
     file: Annotated[
-        Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, made-up positions.")
+        Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, generated positions.")
     ],
     aircraft: Annotated[
         str | None,
@@ -235,9 +235,9 @@ def sky(
     ] = None,
     minutes: Annotated[
         int | None,
-        typer.Option(min=1, max=600, help="How long: 20 if left out; of a recording from --start on, all if left out."),
+        typer.Option(min=1, max=600, help="Length: 20 if left out; of a recording, all from --start on."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Another seed is another sky.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Seed of the generated sky.")] = 1,
     positions: Annotated[
         Path | None,
         typer.Option(
@@ -258,9 +258,11 @@ def sky(
         str | None, typer.Option(metavar="LAT,LON", help="Where the radar is, degrees; with --from or FILE.csv.")
     ] = None,
     boresight: Annotated[
-        float, typer.Option(min=0.0, max=360.0, metavar="DEG", help="Where it looks: from north, clockwise.")
+        float, typer.Option(min=0.0, max=360.0, metavar="DEG", help="Boresight of the radar, clockwise from north.")
     ] = 0.0,
-    range_km: Annotated[float, typer.Option("--range", min=20.0, max=1000.0, metavar="KM", help="How far.")] = 100.0,
+    range_km: Annotated[
+        float, typer.Option("--range", min=20.0, max=1000.0, metavar="KM", help="Aircraft up to this range.")
+    ] = 100.0,
     heights: Annotated[
         bool, typer.Option("--heights", help="Aircraft of a recording have their altitudes; else all are at height 0.")
     ] = False,
@@ -303,13 +305,13 @@ def check(
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
     kind: Annotated[
         str | None,
-        typer.Option(help="What FILE.py:NAME is, if it cannot be told.", autocompletion=completion.kinds),
+        typer.Option(help="Kind of FILE.py:NAME, if the file leaves it open.", autocompletion=completion.kinds),
     ] = None,
     _plugins: PluginsOption = None,
 ) -> None:
     """Check a scenario or a plug-in of your own, and name every fault.
 
-    For a scenario it prints what its targets are like, and warns of settings
+    For a scenario it prints the SNR of its targets, and warns of settings
     that make no sense. For a rule, a strategy, an objective or a disturbance
     it prints whether its answers make sense and are the same each time, and
     what a call costs.

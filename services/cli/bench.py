@@ -83,7 +83,7 @@ def dwell(update: UpdateOption = False, as_json: JsonOption = False) -> None:
 
 @bench.command()
 def feed(
-    tracks: Annotated[int, typer.Option(min=1, max=100_000, help="Of a picture.")] = 1000,
+    tracks: Annotated[int, typer.Option(min=1, max=100_000, help="Tracks of a picture.")] = 1000,
     as_json: JsonOption = False,
 ) -> None:
     """Time what a feed takes of a core: pictures of a dwell's messages, and packing them in each format."""
@@ -164,10 +164,11 @@ def verify(as_json: JsonOption = False) -> None:
 
 
 def simulate(
-    schedules: Annotated[int, typer.Option(min=1, max=100_000_000, help="How many, one seed after the other.")] = 2000,
-    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Of the first one.")] = 1,
+    schedules: Annotated[int, typer.Option(min=1, max=100_000_000, help="Number of schedules, by seed.")] = 2000,
+    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Seed of the first schedule.")] = 1,
     replay: Annotated[
-        int | None, typer.Option(metavar="SEED", min=0, max=2**62, help="Play this one, and show its faults.")
+        int | None,
+        typer.Option(metavar="SEED", min=0, max=2**62, help="Repeat the schedule of this seed; show its faults."),
     ] = None,
     store: Annotated[
         str | None,
@@ -175,11 +176,11 @@ def simulate(
     ] = None,
     workers: Annotated[int, typer.Option(min=0, max=1024, help="Processes; 0: one for each core.")] = 0,
 ) -> None:
-    """Play small runs in simulated time under faults that are drawn: of disk, network, processes and clocks.
+    """Run small systems in simulated time under random faults of disk, network, processes and clocks.
 
-    In lockstep each run must be what it is without faults, byte for byte; in
+    In lockstep each run must equal the run without faults byte for byte; in
     real time the radar must transmit every dwell. A schedule that fails is
-    shown with its seed and as few faults as it takes.
+    shown with its seed and the fewest faults that cause it.
     """
     from cogradar.services import kernels
     from cogradar.services.campaigns.pool import n_core
@@ -230,7 +231,7 @@ def _explain(seed: int) -> bool:
 def chaos(
     scenario: ScenarioArgument = "smoke",
     runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
-    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
+    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Dwells of each run.")] = 1000,
     settings: SetOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
     kills: Annotated[
@@ -241,11 +242,11 @@ def chaos(
     ),
     rate: RateOption = None,
 ) -> None:
-    """Kill processes of running systems at random, and see what becomes of the runs.
+    """Kill processes of running systems at random, and check their runs.
 
-    In lockstep each must have the digest of the same run left in peace. In
+    In lockstep each must have the digest of the undisturbed run. In
     real time no track may end because of a process; the longest time without
-    a plan of a confirmed track is said.
+    a plan of a confirmed track is printed.
     """
     from cogradar.services import kernels
     from cogradar.services.cli.display import RunDisplay

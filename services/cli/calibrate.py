@@ -32,10 +32,11 @@ def calibrate(
     settings: SetOption = None,
     bearing: Annotated[
         float | None,
-        typer.Option(min=-90.0, max=90.0, metavar="DEG", help="Of the recorded target; left out: noise alone."),
+        typer.Option(min=-90.0, max=90.0, metavar="DEG", help="Bearing of the recorded target; left out: noise alone."),
     ] = None,
     range_km: Annotated[
-        float | None, typer.Option("--range", min=0.001, max=10_000.0, metavar="KM", help="Of the recorded target.")
+        float | None,
+        typer.Option("--range", min=0.001, max=10_000.0, metavar="KM", help="Range of the recorded target."),
     ] = None,
     bins: Annotated[bool, typer.Option("--bins", help="Print the noise of each bin.")] = False,
     as_json: JsonOption = False,

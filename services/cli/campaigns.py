@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 ALL = ",".join(Strategy)
 ALL_RUNS = "all"
 DaskOption = Annotated[
-    str | None, typer.Option("--dask", metavar="ADDRESS", help="Play on the workers of this Dask scheduler.")
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler.")
 ]
 
 # What campaign and sweep have in common.
@@ -76,7 +76,7 @@ def campaign(
     dask: DaskOption = None,
     _plugins: PluginsOption = None,
 ) -> None:
-    """Play many runs on all cores, with the same seeds for every strategy.
+    """Make many runs on all cores, with the same seeds for every strategy.
 
     `cogradar report` summarises them.
     """
@@ -121,7 +121,7 @@ def sweep(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
-    """Play every combination of settings with the same seeds, and print tables.
+    """Run every combination of settings with the same seeds, and print tables.
 
     With --out it draws a figure, of one or two axes.
 

@@ -21,7 +21,9 @@ class Action(StrEnum):
 
 
 def certs(
-    action: Annotated[Action, typer.Argument(metavar="init|issue", show_choices=False, help="What to make.")],
+    action: Annotated[
+        Action, typer.Argument(metavar="init|issue", show_choices=False, help="Make an authority, or certificates.")
+    ],
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="[ROLE.NAME]...", help="With issue: one for each process, such as planner.host-1."),

@@ -76,14 +76,16 @@ def run(
     rule: RuleOption = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
     dwells: RunDwellsOption = None,
-    planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
-    in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
+    planners: Annotated[
+        int, typer.Option(min=1, max=64, help="Number of planners; processes, unless --in-process.")
+    ] = 1,
+    in_process: Annotated[bool, typer.Option("--in-process", help="Run all in one process, without Zenoh.")] = False,
     store: Annotated[
         str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
     ] = None,
     connect: SharedServicesOption = None,
     zenoh_config: ZenohConfigOption = None,
-    pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
+    pace: Annotated[Pace, typer.Option(help="As fast as possible, or by the clock.")] = Pace.LOCKSTEP,
     rate: RateOption = None,
     chaos: ChaosOption = None,
     detach: DetachOption = False,
@@ -304,7 +306,7 @@ def command_run(
             " Bearings are in degrees from boresight, shares are of the array's power.",
         ),
     ],
-    at: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Not before this dwell, counted from 0.")] = 0,
+    at: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Earliest dwell, counted from 0.")] = 0,
     connect: ConnectOption = DEFAULT_ENDPOINT,
     zenoh_config: ZenohConfigOption = None,
     as_json: JsonOption = False,
