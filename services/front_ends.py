@@ -117,7 +117,7 @@ def _recording(name: str) -> tuple[str, str]:
     if found["n"] == 0:
         raise BadInput(f"{file}: no scans of {found['run']} are stored")
     if found["n"] != found["last"] + 1:
-        raise BadInput(f"{file}: scans of {found['run']} are missing, only a run without gaps can be played")
+        raise BadInput(f"{file}: scans of {found['run']} are missing, only a run without gaps can be replayed")
     return file, str(found["run"])
 
 

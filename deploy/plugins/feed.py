@@ -12,7 +12,7 @@ class Lines(Format):
         """What is to be sent of a dwell: all tracks, so that a display that joins late has them at once.
 
         picture : tracks, time and site; `Picture.tracks` is empty once the run, or the feed, has ended
-        returns : outputs in bytes, each of which is a datagram, or part of a stream
+        returns : outputs in bytes, each a datagram, or part of a stream
         """
         return [
             Output(

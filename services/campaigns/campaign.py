@@ -145,7 +145,7 @@ def play(
             broken += 1
             if broken > MAX_BROKEN:
                 raise RunFailed(f"worker processes died {broken} times (out of memory?); go on with --resume") from None
-            notify("a worker process died; what it was playing is played again")
+            notify("a worker process died; its run is made again")
     return tally
 
 
@@ -213,7 +213,7 @@ def _difference(there: dict[str, Any], asked: dict[str, Any]) -> str | None:
             return f"{name} = {_text(there[name])} there, {_text(asked[name])} asked for"
     if there["scenarios"] != asked["scenarios"]:
         return f"its scenario, {there['scenarios'][0]['name']}, is not the one asked for"
-    return None if there["program"] == asked["program"] else "another version of the program played it"
+    return None if there["program"] == asked["program"] else "another version of the program made it"
 
 
 def _text(value: Any) -> str:

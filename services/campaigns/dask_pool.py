@@ -84,7 +84,7 @@ def _faults(
     """What is wrong with each worker that is not fit."""
     names = {address: f"worker {address} ({worker['name']})" for address, worker in workers.items()}
     faults = [
-        f"{names[address]}: plays {worker['nthreads']} runs in one process; start it with --nthreads 1"
+        f"{names[address]}: makes {worker['nthreads']} runs in one process; start it with --nthreads 1"
         for address, worker in workers.items()
         if worker["nthreads"] != 1
     ]
@@ -127,7 +127,7 @@ class _Trials:
                 lines.append(f"{name}: no answer within {CHECK_WITHIN_S:g} s")
             elif (error := future.exception()) is not None:
                 why = " ".join(str(error).split())[:200]
-                lines.append(f"{name}: cannot play: {type(error).__name__}: {why}")
+                lines.append(f"{name}: cannot make runs: {type(error).__name__}: {why}")
             elif future.result() != expected:
                 lines.append(f"{name}: {fault}")
         return lines

@@ -97,7 +97,7 @@ def play_one(start: RunStart, asked: str) -> tuple[Recording, float]:
     A run that fails is a result as well: it would fail again.
     """
     if build() != asked:
-        raise RunFailed(f"{platform.node()} {difference(build(), asked)}, so it was not let play")
+        raise RunFailed(f"{platform.node()} {difference(build(), asked)}, so it was not used")
     began = time.process_time()
     store = in_memory()
     try:

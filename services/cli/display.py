@@ -298,7 +298,7 @@ def outcome(result: Result) -> str:
     """What happened, in a sentence or two: which targets kept their tracks, and how well they were seen."""
     scored = [row for row in result.targets if row["n"] and row["p_d"] is not None]
     if not scored:
-        return f"{result.run['t']} dwells were played" + ("; no target was tracked." if result.has_truth else ".")
+        return f"{result.run['t']} dwells were made" + ("; no target was tracked." if result.has_truth else ".")
     lost = [str(row["target"]) for row in scored if row["lost"]]
     n, verb = len(scored), "was" if len(lost) == 1 else "were"
     held = "The only target was" if n == 1 else f"All {n} targets were"

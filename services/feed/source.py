@@ -183,7 +183,7 @@ class _Followed:
         """Follow a run, if there is one that goes on. Raises BadInput if it has no site."""
         if row is None or row["status"] != "running" or row["run"] in self._ended:
             if row is not None and self._only is not None:
-                raise BadInput(f"run {row['run']}: is over; --store FILE plays a run that is stored")
+                raise BadInput(f"run {row['run']}: is over; --store FILE replays a stored run")
             self._notify("no run goes on; waiting for one to begin")
             return
         self._known.add(row["run"])

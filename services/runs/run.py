@@ -115,7 +115,7 @@ def ending(start: RunStart) -> RunStart:
     if start.dwells == NO_END:
         raise BadInput(
             f"dwells = {UNLIMITED}: a run in one process, of a campaign or a sweep must end: set a number of dwells,"
-            " or let services play it, with `run` without --in-process"
+            " or let services run it, with `run` without --in-process"
         )
     return start
 
@@ -142,7 +142,7 @@ def untold(scenario: Scenario) -> Scenario:
     rule = scenario.radar.planner.rule
     if rule in TRUE_RULES:
         raise BadInput(
-            f"radar.planner.rule = {rule}: knows the truth, which no message may tell a planner: play it in one"
+            f"radar.planner.rule = {rule}: knows the truth, which no message may tell a planner: run it in one"
             " process, with `run --in-process`, `campaign` or `sweep`"
         )
     return scenario

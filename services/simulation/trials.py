@@ -81,7 +81,7 @@ def play_all(
     with LocalPool(workers).open(-(-n // AT_ONCE)) as pool:
         waiting: set[Future[Tally]] = set()
         while True:
-            check_stop(stop, f"; {tally.n} of {n} schedules were played" + (", they are kept" if store else ""))
+            check_stop(stop, f"; {tally.n} of {n} schedules were run" + (", they are kept" if store else ""))
             while len(waiting) < workers and (lot := next(lots, None)) is not None:
                 waiting.add(pool.submit(play_lot, *lot))
             if not waiting:

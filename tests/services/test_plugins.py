@@ -469,7 +469,7 @@ def test_workers_of_a_dask_cluster_play_them_or_are_named(
         workers.wait_for_workers(2)
         monkeypatch.setenv(sources.VARIABLE, str(folder))
         with (
-            pytest.raises(BadInput, match=r"\(changed\): cannot play: .*\.py:\w+: .* has source"),
+            pytest.raises(BadInput, match=r"\(changed\): cannot make runs: .*\.py:\w+: .* has source"),
             dask_pool.cluster(workers.address, start, notify=nothing, check=nothing),
         ):
             pass

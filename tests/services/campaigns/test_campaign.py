@@ -130,7 +130,7 @@ def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
             os.kill(next(child.pid for child in multiprocessing.active_children() if child.pid), signal.SIGKILL)
 
     _play(store, report=report, notify=sent.append)
-    assert sent == ["a worker process died; what it was playing is played again"]
+    assert sent == ["a worker process died; its run is made again"]
     assert results_digest(store) == reference
 
 

@@ -108,7 +108,7 @@ def test_workers_that_are_not_fit_are_named_and_refused(cluster: Cluster, tmp_pa
     cluster.wait_for_workers(2)
     lines = sorted(re.sub(r"tcp://\S+ ", "", line) for line in str(refused.value).splitlines())
     assert lines == [
-        "worker (busy): plays 2 runs in one process; start it with --nthreads 1",
+        "worker (busy): makes 2 runs in one process; start it with --nthreads 1",
         "worker (stale): has another version of the program, of its libraries or of Python",
     ]
 

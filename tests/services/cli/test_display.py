@@ -219,4 +219,4 @@ def test_a_run_says_what_happened_first(finished: Result) -> None:
     alone = replace(finished, targets=[first])
     assert outcome(alone).startswith(f"The only target was tracked to the end. P_D {first['p_d']:.3f}, ")
     blind = replace(finished, picture={}, targets=[row | {"p_d": None} for row in finished.targets])
-    assert outcome(blind) == f"{finished.run['t']} dwells were played."
+    assert outcome(blind) == f"{finished.run['t']} dwells were made."

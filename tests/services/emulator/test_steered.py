@@ -139,8 +139,8 @@ N = 3
     ("changed", "reason"),
     [
         ({"nus": np.array([-0.3, 0.19, 0.22])}, "lacks the direction"),
-        ({"nus": np.array([-0.4, 0.19, 0.21])}, "bins are not those"),
-        ({"nus": np.array([-0.7, 0.19, 0.21])}, "bins are not those"),
+        ({"nus": np.array([-0.4, 0.19, 0.21])}, "bins do not match"),
+        ({"nus": np.array([-0.7, 0.19, 0.21])}, "bins do not match"),
         ({"beam_nus": NUS - 0.2}, "do not match their directions"),
         ({"limits": np.zeros(N)}, "limits must be > 0"),
         ({"ranges_km": -np.ones(N)}, "ranges and standard deviations"),
