@@ -143,7 +143,7 @@ def test_a_certificate_that_is_not_shown_or_not_ours_says_nothing(
     told(connect_certificate=ours, enable_mtls=False)
     assert own.process_name(Role.PLANNER, "p", HERE) == "p"
     told(connect_certificate=ours)
-    with pytest.raises(BadInput, match=r"that of metrics\.lan"):
+    with pytest.raises(BadInput, match=r"is metrics\.lan's"):
         own.process_name(Role.PLANNER, "p", HERE)
     told(connect_certificate=foreign(tmp_path, "metrics.lan", "a company"))
     assert own.process_name(Role.PLANNER, "p", HERE) == "p"
