@@ -42,8 +42,8 @@ def order_on(endpoint: str, run: str, action: Action, at: int = 0, asker: str = 
 
     asker : for whom it is commanded, if not for oneself
 
-    Raises NoMetrics if nobody answers, BadInput if there is no such run, it is over, the certificate is another role's,
-    or the recorder refuses, RunFailed if nobody confirms.
+    Raises NoMetrics if no metrics service answers, BadInput if there is no such run, it is over, the certificate is
+    another role's, or the recorder refuses, RunFailed without a confirmation.
     """
     by = check_commander(endpoint) or _user()
     by = f"{by[: 94 - len(asker)]} for {asker}" if asker else by
@@ -93,11 +93,11 @@ def _confirmed(session: Session, send: Callable[[], None], command: Command) -> 
         if rows:
             return rows[0]
     _check(session, command)
-    raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
+    raise RunFailed(f"no confirmation within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
 
 
 def _user() -> str:
-    """Who asks, where no certificate says it."""
+    """The name of the user, where no certificate says it."""
     try:
         name = getpass.getuser()
     except (KeyError, OSError):  # a user without a name, as in a container
