@@ -174,7 +174,7 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
     """
     if _Made.interpreted:
         return function
-    # Those of this room call only each other, so that all others may still be interpreted.
+    # Kernels of this room call only each other, so that all others may still be interpreted.
     _Made.any = _Made.any or not function.__module__.startswith("cogradar.shared.numerics.")
     dispatcher = numba.njit(nogil=True)(function)
     if CACHED:

@@ -73,7 +73,7 @@ def singular(a: Floats) -> tuple[Floats, Floats]:
 
 
 def embedded(a: NDArray[Any]) -> Floats:
-    """[[Re, -Im], [Im, Re]] of a matrix, (n, m) -> (2 n, 2 m): products, roots and norms are those of the matrix."""
+    """[[Re, -Im], [Im, Re]] of a matrix, (n, m) -> (2 n, 2 m): it has the products, roots and norms of the matrix."""
     return np.block([[a.real, -a.imag], [a.imag, a.real]])
 
 

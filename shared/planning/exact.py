@@ -60,7 +60,7 @@ def values_of(problem: RadarPomdp, gamma: float) -> Values:
     """Depth-2 values of the belief of a problem, (n, 4); no random numbers.
 
     Time and memory: O(n + pairs * n_level + box). A pair (b', b'') occurs if it has particles, so that there are n at
-    most; the box of all pairs, (bins of b') x (bins of b''), has n_bin^2 at most, and is only counted.
+    most. The box of all pairs, (bins of b') x (bins of b''), has n_bin^2 at most, and is only counted.
     """
     table = level_table(2.0 * problem.least**2, list(LAWS)[problem.law])
     return Values(*depth_two_values(problem, table, gamma))
@@ -95,7 +95,7 @@ def depth_two_values(
     """The fields of `Values`.
 
     Particles are sorted by their pair of bins (a, a'), counted at the nodes of u, and only then is every node that
-    occurs spread over its levels: a pass over the particles, and a few over a small table.
+    occurs spread over its levels. This takes a pass over the particles, and a few over a small table.
     """
     n = problem.particles.shape[0]
     now, then, position = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32), np.empty(n)

@@ -86,7 +86,7 @@ def mean_rollout(problem: RadarPomdp, n_level: int, gamma: float) -> float:
     """Expected return of uniformly random bins: (1/n_bin) sum_{d < n_level} gamma^d.
 
     The target is in exactly one bin at each level, whatever its state, and the random bin is that one with probability
-    1/n_bin: the rollout's mean is known, and using it instead of a rollout is unbiased and has no variance.
+    1/n_bin. The rollout's mean is known, and using it instead of a rollout is unbiased and has no variance.
     """
     return (1.0 - gamma**n_level) / ((1.0 - gamma) * problem.n_bin)
 

@@ -40,9 +40,9 @@ def directions(response: Response, nus: Floats, most: int) -> Directions:
     """The cells that cover most of a belief whose particles will be in these directions, (n,); at most so many.
 
     A cell covers what is within half of its lobe: beyond, an echo has lost 8 dB and more. The first is where most of
-    the particles are within its reach, at the mean of what it receives; the next ones likewise, of what is left, but a
-    whole lobe from the nearest one where they would be less. Beams a lobe apart are orthogonal: with others in between,
-    an echo off its axis is not lowered by D_T, and what its amplitude says of the range is wrong.
+    the particles are within its reach, at the mean of what it receives. The next ones are likewise, of what is left,
+    but a whole lobe from the nearest one where they would be less. Beams a lobe apart are orthogonal: with others in
+    between, an echo off its axis is not lowered by D_T, and what its amplitude says of the range is wrong.
     """
     found, chances, off = _covering(nus, most, response.lobe, response.loss_table())
     lost = np.square(response.loss(off))

@@ -7,12 +7,11 @@ of it; zeta = g w; f(zeta) probability of detection, Q_1(sqrt zeta, sqrt lambda)
 
 f is convex up to its bend and concave above: a little power is worth less than none, so that some cells stay dark. At a
 price mu each cell buys either nothing or the zeta above the bend where p g f'(zeta) = mu, the latter if the chord from
-f(0) is steeper than mu / (p g): the optimum of the concave envelope, a bound for all allocations. What it leaves to
-decide are cells whose choice costs less than the gap to that bound; their subsets are tried. At the optimum all lit
-cells have one price, and at most one is below the bend: of two, the one would give the other its power. So each subset
-is tried above the bend, and with one more cell that gets what the others hardly need. Beams at centres of bins
-are nearly orthogonal: what one beam sends into another's cell, and two tracks in one cell, are not reckoned
-with.
+f(0) is steeper than mu / (p g). This is the optimum of the concave envelope, a bound for all allocations. What it
+leaves to decide are cells whose choice costs less than the gap to that bound; their subsets are tried. At the optimum
+all lit cells have one price, and at most one is below the bend: of two, the one would give the other its power. So each
+subset is tried above the bend, and with one more cell that gets what the others hardly need. Beams at centres of bins
+are nearly orthogonal: what one beam sends into another's cell, and two tracks in one cell, are not reckoned with.
 """
 
 from typing import NamedTuple
@@ -166,7 +165,8 @@ def _envelope(curve: Curve, cells: _Cells, power: float) -> float:
 def _priced(curve: Curve, cells: _Cells, power: float) -> tuple[float, Floats, Bools]:
     """Bound of all allocations; what it costs at least to decide otherwise of each cell, whether it is above the bend.
 
-    Below the bend the profit is convex in the power, so that it is nowhere above that of nothing or that at the bend.
+    Below the bend the profit is convex in the power, so that it is nowhere above the profit without power or at the
+    bend.
     """
     n = cells.gains.size
     level = _envelope(curve, cells, power)

@@ -145,10 +145,10 @@ class BeliefSection(Section):
         str,
         Chosen(BELIEF),
         Field(
-            description="published: the paper's rejection with amplitudes in levels and the last sigma_hat, and its"
-            " search over all bins with random rollouts; likelihood: the same posteriors and values with less variance;"
-            " gaussian: one Gaussian for each mode of motion, where direction and range are measured, which is meant"
-            " there if the number of tracks is unknown"
+            description="`published`: the paper's rejection with amplitudes in levels and the last sigma_hat, and its"
+            " search over all bins with random rollouts. `likelihood`: the same posteriors and values with less"
+            " variance. `gaussian`: one Gaussian for each mode of motion, where direction and range are measured. It is"
+            " the default there if the number of tracks is unknown"
         ),
     ]
     kernel_bandwidth: Annotated[
@@ -166,7 +166,7 @@ class BeliefSection(Section):
 
 
 class PlannerSection(Section):
-    """The rule of looking, and the settings of POMCP."""
+    """The action-selection policy, and the settings of POMCP."""
 
     rule: Annotated[
         str,
@@ -176,15 +176,15 @@ class PlannerSection(Section):
     looks: Annotated[
         Literal["single", "joint"],
         Field(
-            description="cells that a track asks for: one, by its rule; or, without a rule, its three most probable"
-            " ones, of which the allocation lights those that pay, for all tracks together; joint if left out with an"
-            " objective that chooses among cells"
+            description="cells that a track asks for. `single`: one, by its rule. `joint`: its three most probable"
+            " ones, without a rule; the allocation lights the ones that pay, for all tracks together. Left out with an"
+            " objective that chooses among cells, it is `joint`"
         ),
     ]
     wide_looks: Annotated[
         bool,
         Field(
-            description="power to spare lights cells beside those of joint looks, and the more of them after a miss"
+            description="power to spare lights cells beside the joint looks, and the more of them after a miss"
             " that is improbable: up to the whole grid; true if left out with joint looks"
         ),
     ]
@@ -250,7 +250,7 @@ class RadarConfig(Section):
 
     tracks: Annotated[
         Annotated[int, Field(ge=1, le=300)] | Literal["unknown"],
-        Field(description="number of targets M, known to the radar as in the paper; or nobody tells it"),
+        Field(description="number of targets M, known to the radar as in the paper; or unknown to it"),
     ]
     max_tracks: Annotated[
         int | None, Field(ge=1, le=300, description="most of an unknown number at once; 100 if it is left out")
@@ -271,7 +271,7 @@ class RadarConfig(Section):
 
     @property
     def is_unknown(self) -> bool:
-        """Whether nobody tells the radar how many targets there are."""
+        """Whether the radar is not told how many targets there are."""
         return self.tracks == "unknown"
 
     @property

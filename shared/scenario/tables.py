@@ -48,9 +48,9 @@ SIGNALS = {  # what one look has to do with another: `world.signal`
 
 REACQUIRE_BELOW = 1e-4  # `belief.reacquire_below`, of "paper" only with joint looks
 _ANY_BEAMS = {"antennas": "sum", "beams": "optimal"}
-# What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
-# is, and measures directions; "best-range" measures ranges besides.
+# What `radar.fidelity` means for the keys that a scenario leaves out. Value "paper" is the published algorithm. Value
+# "robust" has this project's cures for lost tracks (docs/explanation/departures.md). Value "best" steers its looks and
+# measures directions. Value "best-range" also measures ranges.
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "belief": {"n_particle": 12_000, "filter": "published", "kernel_bandwidth": 0.0, "reacquire_below": 0.0},
@@ -134,7 +134,8 @@ KNOWS_TRUTH = " (knows the truth)"
 
 
 def marked(text: str, rule: str, most: int | None = None) -> str:
-    """A text about runs with this rule of looking; it says so if the rule knows the truth. At most so long."""
+    """A text about runs with this action-selection policy; it says so if the policy knows the truth. At most so
+    long."""
     if rule not in TRUE_RULES:
         return text[:most]
     return text.removesuffix(KNOWS_TRUTH)[: None if most is None else most - len(KNOWS_TRUTH)] + KNOWS_TRUTH

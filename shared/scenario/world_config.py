@@ -38,9 +38,9 @@ class RecordingSection(Section):
         Field(
             min_length=1,
             max_length=len(AXES),
-            description="what each axis of the array counts, the slowest first: dwell, range, tx, rx; channel in place"
-            " of tx and rx together; time for samples one after another, cut into dwells and the channels that have no"
-            " axis; iq of real numbers, I and Q",
+            description="what each axis of the array counts, the slowest first: dwell, range, tx, rx. Use channel in"
+            " place of tx and rx together, and time for samples one after another, cut into dwells and the channels"
+            " that have no axis. With real numbers, iq counts I and Q",
         ),
     ]
     variable: Annotated[str | None, Field(max_length=100, description="of a file with several arrays: which")] = None
@@ -269,11 +269,9 @@ class TargetSection(Section):
     ] = None
     turns: Annotated[list[TurnSection], FailFast(), Field(max_length=1000)] = Field(default_factory=list)
     sigma_s_km_s2: Annotated[
-        float | None, Field(ge=0, le=1, description="its own acceleration noise, instead of that of `world.motion`")
+        float | None, Field(ge=0, le=1, description="its own acceleration noise, in place of `world.motion`")
     ] = None
-    rcs_db: Annotated[
-        float, Field(ge=-100, le=100, description="gain of its echo's power over that of `world.echo`")
-    ] = 0.0
+    rcs_db: Annotated[float, Field(ge=-100, le=100, description="gain of its echo's power over `world.echo`")] = 0.0
     rcs: Annotated[
         Literal["constant", "swerling1", "swerling3"] | None, Field(description="its own law, instead of `world.rcs`")
     ] = None
@@ -358,9 +356,9 @@ class WorldConfig(Section):
         str,
         Chosen(SIGNAL),
         Field(
-            description="cells: each look has a disturbance of its own and hears only the targets in its main lobe, as"
-            " published; array: all looks of a range cell are tested with one data set, which has the echoes of all"
-            " targets",
+            description="`cells`: each look has a disturbance of its own and hears only the targets in its main lobe,"
+            " as published. `array`: all looks of a range cell are tested with one data set, which has the echoes of"
+            " all targets",
         ),
     ] = "cells"
     disturbance: DisturbanceSection

@@ -1,7 +1,7 @@
 """The angle bin of one position, and the distance of two directions, for kernels.
 
-Apart from `cogradar.shared.signal.array`, which has the same for many states: whoever checks a scenario or a message
-needs the grid, but not the compiler, whose import takes a quarter of a second.
+Apart from `cogradar.shared.signal.array`, which has the same for many states. Checks of scenarios and messages need the
+grid, but not the compiler, whose import takes a quarter of a second.
 """
 
 import numpy as np

@@ -48,7 +48,7 @@ def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
 def in_plane(states: ArrayLike, heights_km: ArrayLike) -> NDArray[np.float64]:
     """Where in the plane of the array a target would have the range and the direction that it has at its height.
 
-    A linear array measures y and the distance from its line, hypot(x, z): positions of one range R and one direction
+    A linear array measures y and the distance from its line, hypot(x, z). Positions of one range R and one direction
     nu = 0.5 y / R are a circle about the line, on a cone. At height 0 nothing changes but the sign of x.
 
     states     : (..., 4) [x, vx, y, vy], x and y on the ground, km
@@ -71,7 +71,7 @@ def on_ground(
         x = x' cos phi,  v_x = v_x' / cos phi
 
     Straight above the array's line v_x has no bound. cos phi is kept above 0.05 there, and d v_x / d x' is taken as at
-    x' = height_max_km, where a target that is nearer than that may be anywhere on its circle.
+    x' = height_max_km. A target that is nearer than that may be anywhere on its circle.
     """
     from cogradar.shared.numerics.linear import product
 

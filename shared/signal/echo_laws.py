@@ -9,7 +9,7 @@ Swerling I, an echo of exponential power: alpha ~ CN(0, |alpha|^2), so that alph
 It is used for Swerling III, too: of the same mean, P_D then errs by at most .13.
 
 Of a target whose RCS is not known, what its echoes were tells how strong they will be. The track keeps E, a smoothed
-|alpha|^2 as of Swerling I: the echo itself, not the RCS, which would need a range that nobody has measured.
+|alpha|^2 as of Swerling I: the echo itself, not the RCS, which would need a measured range.
 """
 
 from collections.abc import Callable
@@ -57,7 +57,7 @@ class EchoLaw(NamedTuple):
         own: NDArray[np.bool_],  # noqa: ARG002
         least: float,  # noqa: ARG002
     ) -> float:
-        """E of a track after its acquisition; 0 if the RCS is assumed. The arguments are those of `first_echo`."""
+        """E of a track after its acquisition; 0 if the RCS is assumed. Arguments as of `first_echo`."""
         return 0.0
 
     def echo_after_hit(self, echo: float, r: float, sigma: float, least: float) -> float:  # noqa: ARG002

@@ -38,9 +38,9 @@ def range_cell_centre(i: int, width_km: float) -> float:
 def directions_everywhere(n_bin: int, range_cell_km: float) -> NDArray[np.float64]:
     """Directions of the looks while power goes everywhere, (n,) ascending: the centres of the bins.
 
-    With range cells two a bin, a quarter of it to either side, of which one is reported: thresholds are higher then,
-    and a target at a border would be met with a sixth of its power. (Without, the tracker reads what a cell says of a
-    target in all scans, which takes one direction.)
+    With range cells two a bin, a quarter of it to either side, and one is reported. Thresholds are higher then, and a
+    target at a border would be met with a sixth of its power. (Without, the tracker reads what a cell says of a target
+    in all scans, which takes one direction.)
     """
     centres = bin_centres(n_bin)
     if not 0.0 < range_cell_km < np.inf:
@@ -65,7 +65,7 @@ class Measured(NamedTuple):
     look: Look
     cell: Cell
     range_km: float  # centre of its range cell; 0: there is none
-    nu_hat: float  # direction of the echo; that of the look if it was not measured
+    nu_hat: float  # direction of the echo; the look's if it was not measured
     nu_sigma: float  # standard deviation of its error; 0: not measured
 
 

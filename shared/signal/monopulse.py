@@ -1,6 +1,6 @@
 """Directions within the main lobe: what an array loses off its axis, and how a detection tells where its echo is from.
 
-Symbols: N antennas; d = nu - nu_c direction of an echo off that of the cell, |d| < 1/N in the main lobe;
+Symbols: N antennas; d = nu - nu_c direction of an echo off the cell's, |d| < 1/N in the main lobe;
 D(d) = sin(pi N d) / (N sin(pi d)) response to it, (1/N) sum_i exp(j 2 pi d (i - (N-1)/2)); rho(d) = D'(d) / D(d)
 discriminator; kappa^2 = -rho'(0) = pi^2 (N^2 - 1) / 3; r = |alpha_hat| / sigma_hat. Monopulse in maximum likelihood:
 Sherman and Barton, "Monopulse Principles and Techniques", 2nd ed.
@@ -144,7 +144,7 @@ def flat_ratio_sigma(rho: float, r: float, n: int) -> float:
 
 
 def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, float]:
-    """Direction of an echo and the standard deviation of its error, from those of the discriminator.
+    """Direction of an echo and the standard deviation of its error, from the discriminator and its error.
 
         nu_hat = nu + d,   sigma_nu = sigma_rho / |rho'(d)|,   rho(d) = rho
 

@@ -96,7 +96,7 @@ class Detections(_Rows):
 
     @property
     def is_acquisition(self) -> bool:
-        """Whether nobody had asked for a cell yet."""
+        """Whether no cell had been asked for yet."""
         return self.ids is None and bool((self.beams < 0).all())
 
     def row_of(self, target: int) -> int:

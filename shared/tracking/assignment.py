@@ -1,15 +1,16 @@
 """Whose detection is whose, where tracks are so near to each other that they compete for them.
 
 A scan says where each track was expected, as a Gaussian of direction and range. So every owner of a track finds the
-same assignment from the scan alone. A detection belongs to one track, and a track has one detection: of all
-assignments of a cluster, the tracks that compete directly or through others, the most probable one holds (global
-nearest neighbour; Blackman and Popoli, "Design and Analysis of Modern Tracking Systems").
+same assignment from the scan alone. A detection belongs to one track, and a track has one detection. A cluster are the
+tracks that compete directly or through others. Of all its assignments the most probable one holds (global nearest
+neighbour; Blackman and Popoli, "Design and Analysis of Modern Tracking Systems").
 
 Several echoes in one cell add: they are one detection, whose direction is between theirs or beyond. The track that it
 is not assigned to is hidden there: that it has none is no miss. The direction is believed less by as much as the other
 echo may have drawn it aside.
 
-Symbols: p_ij probability that track i has its echo in the cell of detection j; sigma_nu that of a direction.
+Symbols: p_ij probability that track i has its echo in the cell of detection j; sigma_nu standard deviation of a
+direction.
 """
 
 from math import log, pi, sqrt
@@ -62,7 +63,7 @@ class _Cluster(NamedTuple):
 
     tracks: Ints  # (m,) rows of the roster, ascending
     rows: Ints  # (n,) of the scan, the detections
-    fits: Floats  # (m, n) log odds that a detection is of a track that flies as expected, against nobody's
+    fits: Floats  # (m, n) log odds that a detection is of a track that flies as expected, against no track's
     in_cell: Floats  # (m, n) probability that the track is in the detection's range cell
     in_lobe: Floats  # (m, n) ... and in half of its main lobe
     different: Ints  # (d,) which detections are the strongest of an echo

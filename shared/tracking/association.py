@@ -1,10 +1,10 @@
 """What a scan tells one track: its detection, or in which looks it was missed.
 
 The looks of an adaptive track are those that were made for it, in the ranges of its gate; two that share one share what
-it finds. With wide looks a detection belongs to the track whose brightest beam is nearest, of those that tested its
-cell: a look that was widened over the cell of another target must not be captured by it. Of several echoes the one that
-the belief makes most probable is the track's; the looks of all other detections tell it nothing. Where the scan says
-where all tracks were expected, they share its detections (`assignment`).
+it finds. With wide looks a detection belongs to the track whose brightest beam is nearest, of the tracks that tested
+its cell. A look that was widened over the cell of another target must not be captured by it. Of several echoes the one
+that the belief makes most probable is the track's; the looks of all other detections tell it nothing. Where the scan
+says where all tracks were expected, they share its detections (`assignment`).
 
 The orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
@@ -58,7 +58,7 @@ class Association(NamedTuple):
     """What a scan tells a track."""
 
     looks: Looks
-    power: float  # ||v||^2 of its look: that of its detection, or the mean over all its cells
+    power: float  # ||v||^2 of its look: at its detection, or the mean over all its cells
     is_looked: bool = True  # it says something: a look was made, and no echo of another target hides the track's own
     in_doubt: bool = False  # which detection is the track's
     own: TrackLooks = TrackLooks()  # if the number of tracks is unknown
@@ -159,8 +159,8 @@ def expected_sigma(model: TrackerModel, state: TrackState, signature_power: Arra
 def sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints) -> Floats:
     """Standard deviation of alpha_hat in cells without a detection, (n,) rows of the scan -> (n,).
 
-    The receiver's own estimate, where it has one: it is made of what is left without an echo, so that it estimates the
-    cell's noise whether there is a target or not, and it is what the threshold was compared with. The paper keeps the
+    The receiver's own estimate, where it has one. It is made of what is left without an echo, so that it estimates the
+    cell's noise whether there is a target or not. It is what the threshold was compared with. The paper keeps the
     sigma_hat of the last detection for the one cell that it looks at.
     """
     remembered = expected_sigma(model, state, scan.signature_power[rows])
@@ -202,7 +202,8 @@ def _own_rows(model: TrackerModel, scan: Detections, at: int) -> tuple[Ints, Gat
 
 
 def _own_looks(scan: Detections, given: tuple[Response, Gate]) -> _OwnLooks:
-    """Those of all tracks, of a radar with this response that tests these ranges where nothing else is asked for."""
+    """The looks of all tracks, of a radar with this response that tests these ranges where nothing else is asked
+    for."""
     gates = [_gate(*given, asked_km) for asked_km in scan.gates.tolist()]
     lit = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
     ends, rows = _rows_in(scan.nus, scan.ranges_km, lit, np.array(gates).reshape(-1, 2))
@@ -261,7 +262,7 @@ def _missed_directions(model: TrackerModel, state: TrackState, scan: Detections,
 
 
 def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[Share, Ints]:
-    """A track's detection, where nobody knows where the others are, and the rows of its own in which it was missed."""
+    """A track's detection, without knowledge of the other tracks, and the rows of its own in which it was missed."""
     is_detected = scan.is_over(rows)
     if model.wide_looks and is_beam(model, scan):
         is_own = ~is_detected | _is_nearest(scan, scan.row_of(state.target), rows)
@@ -288,8 +289,8 @@ def _by_belief(model: TrackerModel, state: TrackState, scan: Detections, rows: I
 
 
 def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Share) -> Ints:
-    """The rows of a track's own, (n,), in which it was missed: none if it is hidden, those of all looks if it has no
-    detection and theirs are of other ranges, else those of looks without one.
+    """The rows of a track's own, (n,), in which it was missed. These are none if it is hidden. They are of all looks if
+    it has no detection and theirs are of other ranges, else of looks without a detection.
     """
     if share.is_hidden:
         return rows[:0]
@@ -300,7 +301,7 @@ def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Shar
 
 @kernel
 def _undetected(rows: Ints, nus: Floats, statistic: Floats, limits: Floats) -> Ints:
-    """Of rows of the scan, (n,), those of looks without a detection."""
+    """Rows of the scan, (n,), of looks without a detection."""
     is_left = np.ones(rows.size, np.bool_)
     for j in rows:
         if statistic[j] >= limits[j]:
@@ -318,7 +319,7 @@ def _is_among(nus: Floats, some: Floats) -> NDArray[np.bool_]:
 
 
 def _gate(response: Response, ranges_km: Gate, asked_km: Sequence[float]) -> Gate:
-    """Ranges that were tested, km: those of the radar where all were asked for."""
+    """Ranges that were tested, km: the radar's where all were asked for."""
     width, (low_km, high_km) = response.range_cell_km, asked_km
     if not response.measures_range:
         return 0.0, FAR_KM
@@ -337,7 +338,7 @@ def _is_nearest(scan: Detections, own: int, rows: Ints) -> NDArray[np.bool_]:
 
 
 def _own_echo(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> int:
-    """Row of the track's detection, of those of different echoes, (n,); -1: none of them."""
+    """Row of the track's detection, of rows of different echoes, (n,); -1: none of them."""
     if rows.size == 0:
         return -1
     if scan.is_acquisition:
@@ -376,7 +377,7 @@ def _asked_for(model: TrackerModel, state: TrackState, scan: Detections, rows: I
 def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
     """Whether a cell is read with the sigma_hat of the last detection, as the paper does.
 
-    That of the acquisition, whose waveform is orthogonal, is up to sqrt(n_tx) times too large for a beam: every miss
+    The acquisition's, whose waveform is orthogonal, is up to sqrt(n_tx) times too large for a beam: every miss
     would be explained by too weak an echo. Like the authors, who scan once more with a beam before they track, a track
     keeps it from the first detection in a beam on; in a look before that the receiver's own is taken.
     """

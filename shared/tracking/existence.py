@@ -14,7 +14,7 @@ that
     L(u) = P_D kappa / P_FA (u / P_FA)^(kappa - 1),    0 < u <= P_FA
 
 is a likelihood ratio whatever the limit was. (With 32 x 32 channels and less noise has more large statistics than u
-says, as sigma_hat is estimated: strong detections are believed too much there.) A tentative track is confirmed when r
+says, as sigma_hat is estimated. Strong detections are believed too much there.) A tentative track is confirmed when r
 exceeds a bound, and ends when r falls below another. Under noise the odds are a random walk of independent steps: the
 bound of confirmation is where that walk confirms as many false tracks per hour as `radar.initiation` asks for.
 """
@@ -47,8 +47,8 @@ ENDED_BELOW = 0.005  # of the probability that there is a target and that it is 
 # Of r: a target that leaves is given up after some five misses where it would be found with 0.9. Ten times the odds
 # that confirm it, if these are more.
 MOST_ODDS = 1e3
-# P_D by which a miss is judged, whatever the belief says: a target that has turned is missed although it is strong;
-# with an unknown RCS a target that has left would seem weaker with each miss, and would never be given up.
+# P_D by which a miss is judged, whatever the belief says. A target that has turned is missed although it is strong.
+# With an unknown RCS a target that has left would seem weaker with each miss, and would never be given up.
 LEAST_P_D, MOST_P_D = 0.3, 0.9
 _HIGHEST = 1e9  # bound of confirmation, odds
 _STEP = 0.05  # of log odds, in the random walk of a false track

@@ -3,12 +3,12 @@
 Symbols: s = [x, vx, y, vy] state in km and km/s, x >= 0 on boresight; dt dwell in s; w acceleration, sigma_s standard
 deviation of its noise per axis in km/s^2.
 
-The mixture has three modes. In each there is the noise; in a turn the velocity is rotated by an acceleration across it
-of up to 3 g besides; in a hard turn of up to 9 g, while the target brakes or speeds up with up to 3 g. All of them are
-uniform and drawn anew in each dwell. What a belief remembers of a manoeuvre is how probable the modes are: a Markov
-chain takes that from dwell to dwell, and the likelihood of each mode's particles corrects it (generalised
-pseudo-Bayesian estimator of first order; Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). A particle has no mode of its
-own: the modes are dealt out over the particles anew in each dwell, as evenly as can be.
+The mixture has three modes. In each there is the noise. In a turn the velocity is also rotated by an acceleration
+across it of up to 3 g. In a hard turn it is up to 9 g, while the target brakes or speeds up with up to 3 g. All of them
+are uniform and drawn anew in each dwell. A belief remembers of a manoeuvre how probable the modes are. A Markov chain
+takes that from dwell to dwell, and the likelihood of each mode's particles corrects it (generalised pseudo-Bayesian
+estimator of first order; Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). A particle has no mode of its own: the modes
+are dealt out over the particles anew in each dwell, as evenly as can be.
 """
 
 from typing import NamedTuple
@@ -113,7 +113,7 @@ def propagate_into(
     Of a mixture the particles are dealt the modes in turn, and draw what acceleration theirs has.
 
     After k steps without clipping the noise has added k sigma_s^2 dt^2 to the variance of a velocity and
-    sigma_s^2 dt^4 sum_{i<k} (i + 1/2)^2 to that of a position.
+    sigma_s^2 dt^4 sum_{i<k} (i + 1/2)^2 to the variance of a position.
     """
     for i in range(states.shape[0]):
         x, vx, y, vy = states[i, 0], states[i, 1], states[i, 2], states[i, 3]

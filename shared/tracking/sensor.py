@@ -2,7 +2,7 @@
 
 A track is told a detection with its amplitude, or that there was none. How it reads an amplitude is a setting: as the
 paper does, by its level, of which it takes the probability; or itself, of which there is only a density. What stands
-for it is the probability of an interval as wide as a level around it, sqrt(3) f(r | u): whatever compares the evidence
+for it is the probability of an interval as wide as a level around it, sqrt(3) f(r | u). Whatever compares the evidence
 of an observation with a bound, such as when a belief is depleted, then means the same for both.
 
 Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_hat ~ CN(alpha, sigma^2) its estimate;
@@ -29,13 +29,13 @@ STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 -
 MAX_LEVEL = 2.0**30  # keeps observations within the range of the search's keys; no aircraft comes near it
 MAX_AMPLITUDE = MAX_LEVEL * STEP
 # Of u, or of ln u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has
-# curvature 2; only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves
+# curvature 2; only at u < 1, where I_0(2 r u) has up to 2 r^2, by 1e-2 of probabilities that are themselves
 # below exp(-r^2).
 # Over ln u, of a density in r^2/(1 + u^2), it errs by 4 r^2/u^2 / (8 * 32^2) at most: 5e-4 where r is probable.
 _NODES_PER_UNIT = 32
 _MARGIN = 8.0  # in u, beyond the observed amplitude: probabilities there are below exp(-64)
 _LEAST_BAND = 1e-6  # in r; see `level_band`
-_LEAST_LOG, _MOST_LOG = -4.0, 24.0  # ln u of tables over it: beyond, P hardly changes, or nobody comes there
+_LEAST_LOG, _MOST_LOG = -4.0, 24.0  # ln u of tables over it: beyond, P hardly changes, or is not needed
 
 
 class Sensor(NamedTuple):

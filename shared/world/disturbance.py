@@ -131,7 +131,7 @@ class Recorded:
         raise ValueError("a recorded disturbance is cut out of its file")
 
     def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
-        """1: what is predicted is that of white noise with the recording's mean power; (...) -> (...)."""
+        """1: what is predicted is white noise's with the recording's mean power; (...) -> (...)."""
         return np.ones_like(np.asarray(nu, dtype=np.float64))
 
 

@@ -105,7 +105,7 @@ class Scene(ABC):
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
-        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
+        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); for its mean RCS."""
         return np.asarray(20.0 * log10(amplitude(self._at_1_km, self.range_km**2)))
 
     def move(self) -> None:
@@ -141,7 +141,7 @@ class Scene(ABC):
         return self._flights.moved(self.states, self.t + 1)
 
     def _met(self, place: Place, k: int) -> NDArray[np.complex128]:
-        """Disturbance as a cell meets it; to be changed by whoever asked."""
+        """Disturbance as a cell meets it; to be changed by the caller."""
         self.drawn.append(place)
         prepared = self._prepared.pop((place, k), None)
         return self._disturbance(place, k) if prepared is None else prepared
@@ -158,8 +158,8 @@ class Scene(ABC):
             Lambda = -2 ln(1 - U^(1/n)),   U uniform: the largest of n that are chi-square with 2 degrees of freedom
 
         as each is as the number of channels grows. Which cell, the phase and the measured direction are independent of
-        it: noise in the derivative's channel is kappa^2 times that in the sum's, and independent. sigma_hat is what it
-        is on average, sqrt(S_c(nu) / ||v||^2).
+        it. Noise in the derivative's channel is kappa^2 times the noise in the sum's, and independent. The mean is
+        taken for sigma_hat, sqrt(S_c(nu) / ||v||^2).
 
         occupied        : numbers of the other cells, ascending
         signature_power : ||v||^2

@@ -101,7 +101,7 @@ def _course(target: TargetSection) -> "Akima1DInterpolator | None":
 
 
 def _along(course: "Akima1DInterpolator", time: float) -> NDArray[np.float64]:
-    """State on a trajectory, (4,); before the first row and after the last that of this row."""
+    """State on a trajectory, (4,); before the first row and after the last the state of this row."""
     state = np.empty(4)
     state[0::2], state[1::2] = _at(course, time)[:2], _at(course, time, 1)[:2]
     return state

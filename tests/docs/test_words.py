@@ -27,7 +27,7 @@ EXCEPTIONS = re.compile(
     r"\b(?:people|person|users?|readers|researchers|engineers|developers|operators|anybody|somebody|someone|those|authors?)"
     r"(?:[^.;:]{0,40}?,)? who\b"
     r"|\bwho (?:asked|commanded|knows? the truth|wrote)\b"  # of a command: a person's name
-    r"|`nobody`|\bnobody\.toml\b|\bsweep nobody\b|\"nobody\"|'nobody'"
+    r"|`who`|`nobody`|\bnobody\.toml\b|\bsweep nobody\b|\"nobody\"|'nobody'"
     r"|\b(?:so|say|said|says|told|know|knows|aware|sure|means|is|all|think) that of\b",
     re.IGNORECASE,
 )
@@ -38,7 +38,7 @@ ROOTS = ("cogradar", "services", "shared", "studies", "docs", "deploy")
 # What is left. Lower a number when you lower the count.
 LIMITS = {
     "pages": {"long sentences": 3, "who, whoever": 0, "nobody": 2, "that of, those of": 1},
-    "program": {"long sentences": 34, "who, whoever": 12, "nobody": 7, "that of, those of": 32},
+    "program": {"long sentences": 0, "who, whoever": 3, "nobody": 0, "that of, those of": 0},
 }
 
 

@@ -124,7 +124,7 @@ def _own(kind: Kind, text: str) -> Any:
 
 
 def module_of(path: Path) -> ModuleType:
-    """The module that a file makes. Who names it so allows this process to load it. Raises PluginRefused."""
+    """The module that a file makes. The name alone allows this process to load it. Raises PluginRefused."""
     return _imported(path.name, given(path))
 
 

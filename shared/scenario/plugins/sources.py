@@ -79,7 +79,7 @@ def allowance() -> str:
 
 
 def bind(kind: Kind, thing: Any) -> str:
-    """Let a name of a run stand for an object of this process: that of its file, if it is a name of a file."""
+    """Let a name of a run stand for an object of this process; for a name of a file, the object of its file."""
     named = thing if hasattr(thing, "__qualname__") else type(thing)
     attribute = named.__qualname__
     try:
@@ -125,7 +125,7 @@ def _places() -> list[str]:
 def settled(kind: Kind, text: str, folder: Path, file: str = "") -> str:
     """What is named TEXT on a command line or in a scenario file in this folder, as a run has it.
 
-    file : that names it, which may be somebody else's: what it names must be allowed; "": who names it so allows it
+    file : that names it, which may be somebody else's: what it names must be allowed; "": the name alone allows it
 
     Raises PluginRefused.
     """
@@ -225,7 +225,7 @@ def entry_point(kind: Kind, name: Name) -> Name:
 
 
 def _module(kind: Kind, name: Name) -> Source:
-    """The source of a module. Who installs a package with an entry point allows it to be loaded."""
+    """The source of a module. To install a package with an entry point allows it to be loaded."""
     if not name.source:
         name = entry_point(kind, name)
     elif not any(name.source == place or name.source.startswith(f"{place}.") for place in _places()):

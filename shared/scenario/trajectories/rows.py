@@ -103,7 +103,7 @@ def check_rows(rows: NDArray[np.float64], place: Callable[[int], str]) -> None:
     t, x, y = rows.T[:3]
     if (early := np.flatnonzero(~(t[1:] > t[:-1]))).size:
         i = int(early[0]) + 1
-        raise ValueError(f"{place(i)}: t_s = {t[i]:g} must be above that of {place(i - 1)}, {t[i - 1]:g}")
+        raise ValueError(f"{place(i)}: t_s = {t[i]:g} must be above {t[i - 1]:g}, the time of {place(i - 1)}")
     is_near = (np.maximum(np.abs(x), np.abs(y)) <= MAX_POSITION_KM) & (np.abs(t) <= MAX_TIME_S)
     if (far := np.flatnonzero(~is_near)).size:
         raise ValueError(

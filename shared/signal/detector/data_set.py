@@ -195,7 +195,7 @@ class DataSet:
         """With the direction of an echo that is over the limit of a steered cell.
 
         What the cell's signature does not match of an echo off its axis is in the residual, and makes sigma_hat too
-        large: r then is at most some sqrt(N D^4 / ((1 - D^4) (2 l + 1))), D^2 the two-way loss, however strong the
+        large. Then r is at most some sqrt(N D^4 / ((1 - D^4) (2 l + 1))), D^2 the two-way loss, however strong the
         echo. So once its direction is measured, sigma_hat is estimated from what the echo from there leaves; alpha_hat
         stays the cell's own.
         """
@@ -272,7 +272,7 @@ def _isotropic_wald_tests(y: Complexes, n_rx: int, level: float, nus: Floats) ->
         B = S_0 + 2 Re sum_{m=1..l} S_m,   S_m = sum_n x_n x_{n-m}^*,   x_n = y_n v_n^* - c,   c = alpha_hat w_0^2
         sum_n y_n v_n^* (y_{n-m} v_{n-m}^*)^* = w_0^2 (e^{-j 2 pi nu m} P_m + e^{-j 2 pi nu (m + 1 - n_rx)} Q_m)
 
-    P_m are sums over lags m within a transmit channel, Q_m over lags that reach into the channel before; both are those
+    P_m are sums over lags m within a transmit channel, Q_m over lags that reach into the channel before; both are sums
     of Y, whatever the direction. Of x only the first and the last l elements are needed besides.
 
     y     : (n_tx n_rx,) complex; n_rx >= l = ceil((n_tx n_rx)^{1/4})

@@ -8,12 +8,12 @@ So a look's amplitude in range cell i, without a target, is taken to be complex 
 
 t_i : level of a range cell, median over ln 2 of its two-dimensional spectrum with a Hann window in both directions:
       a line is in few points of it
-A, rho : of the look, from M other range cells by expectation and maximisation: alpha is the sum of a part with variance
+A, rho : of the look, from M other range cells by expectation and maximisation. Alpha is the sum of a part with variance
       A, the same in all of them, and of one with rho t_i
 
 A target in another range cell is left out by its power, CENSORED times what is expected: of noise one in e^CENSORED.
-Lambda / 2 = |alpha|^2 / (A + rho t_i) has about an F distribution with 2 and 2 nu degrees of freedom,
-1 / nu = 1 / (M - 2) + LEVEL_SPREAD / (n_tx n_rx), and is reported as the chi-square of the same probability.
+Lambda / 2 = |alpha|^2 / (A + rho t_i) has about an F distribution with 2 and 2 nu degrees of freedom. Here is 1 / nu =
+1 / (M - 2) + LEVEL_SPREAD / (n_tx n_rx). It is reported as the chi-square of the same probability.
 """
 
 import math
@@ -52,7 +52,7 @@ class Levels(NamedTuple):
 
 
 def references(range_cells: Sequence[int]) -> Sequence[int]:
-    """Those of these range cells that levels are estimated from: at most MOST_REFERENCES, at equal steps."""
+    """The range cells that levels are estimated from: at most MOST_REFERENCES of these, at equal steps."""
     return range_cells[:: -(-len(range_cells) // MOST_REFERENCES)]
 
 

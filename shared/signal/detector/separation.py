@@ -1,7 +1,7 @@
 """Echoes told apart: the Wald test of a look beside other echoes in the same data set.
 
-Symbols: Y (n_tx, n_rx) data set, y its rows one after another; v_j = u_j kron a_j signature of direction nu_j, v_1 that
-of the look; c disturbance; l lags of its memory.
+Symbols: Y (n_tx, n_rx) data set, y its rows one after another; v_j = u_j kron a_j signature of direction nu_j, v_1 of
+the look's; c disturbance; l lags of its memory.
 
     G_jk = v_j^H v_k = (u_j^H u_k)(a_j^H a_k),   b_j = v_j^H y = u_j^H Y a_j^*,   alpha = G^-1 b
     e = sum_j (G^-1)_j1 v_j,   alpha_hat = alpha_1 = e^H y,   B = E |e^H c|^2,   Lambda = 2 |alpha_hat|^2 / B
@@ -24,9 +24,10 @@ equal and rows are independent; what is reported,
 is chi-square again. Short rows are not independent in a coloured disturbance: with 4 receive antennas P_FA is three
 times the nominal one.
 
-The other echoes are found in the data themselves: the strongest direction of a grid, measured as in `monopulse`; all
-directions again, each with the others removed (RELAX; Li and Stoica 1996); and the next one, until none is strong. Of
-n found ones the next n // 4 + 1 are looked for at a time, as RELAX takes a time proportional to n.
+The other echoes are found in the data themselves. First comes the strongest direction of a grid, measured as in
+`monopulse`; then all directions again, each with the others removed (RELAX; Li and Stoica 1996). The next one follows,
+until none is strong. Of n found ones the next n // 4 + 1 are looked for at a time, as RELAX takes a time proportional
+to n.
 """
 
 from typing import NamedTuple

@@ -3,11 +3,11 @@
 Symbols: m_j, P_j, w_j mean, covariance and weight of mode j, s = [x, vx, y, vy, a] (`turning`); nu direction,
 H its gradient, S = H P H^T + sigma_nu^2; R range.
 
-A detection is taken in twice, its measured direction by a Kalman update linearised at m_j, its range cell as a cut of
-the Gaussian along the line of sight: a target may stay in one cell for many dwells, so that the errors of a measured
+A detection is taken in twice: its measured direction by a Kalman update linearised at m_j, its range cell as a cut of
+the Gaussian along the line of sight. A target may stay in one cell for many dwells, so that the errors of a measured
 range are no independent noise. Looks without a detection are weighed along the direction, where lobes are narrow, and
-leave the Gaussian with the moments that are left of it. Beside all modes there is the small probability that the
-belief was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
+leave the Gaussian with the moments that are left of it. Beside all modes there is the small probability that the belief
+was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
 """
 
 import math

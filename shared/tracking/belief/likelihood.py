@@ -64,7 +64,7 @@ class Likelihood(NamedTuple):
     gains: Floats  # (c,) |alpha|/sigma at 1 km on axis, or at any range
     is_box: bool  # a look hears its bin, and nothing else
     hit_bin: int  # bin of the detection, if so; else -1
-    bin_gains: Floats  # (n_bin,) those of the look that hears each bin, 0: none; of lobes none is
+    bin_gains: Floats  # (n_bin,) of the look that hears each bin, 0: none; of lobes none is
     nus: Floats  # (c,)
     lobe: float
     loss: Floats  # (n,) D_T D_R from the axis to `lobe`
@@ -78,7 +78,7 @@ class Likelihood(NamedTuple):
     miss_log_p: Floats
     is_log: bool  # both over ln u instead of u; they go on as at their ends
     by_range: bool  # u falls with the range; else gains are |alpha|/sigma at any range
-    foreign: float = 0.0  # added to that of a detection wherever the target is: the echo may be of another one
+    foreign: float = 0.0  # added to a detection's wherever the target is: the echo may be of another one
     is_in_front: bool = True  # a detection is of a target in front of the array (`resampling.weigh`)
 
 

@@ -46,10 +46,11 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     """Weight of each state, (n, 4): the likelihood of the looks.
 
     At x = 0 are those particles that the motion model holds at the edge of the field of view. They explain a detection
-    only if they do so better than all others together, else their weight is 0. A bin at end-fire is kilometres wide:
-    without this, every particle that flies outwards ends at the edge and explains all detections in that bin for good,
-    while of those that fly inwards only the slow ones stay, and the belief's mean goes to the edge whatever the target
-    does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
+    only if they do so better than all others together, else their weight is 0. A bin at end-fire is kilometres wide.
+    Without this, every particle that flies outwards ends at the edge and explains all detections in that bin for good.
+    Of the particles that fly inwards only the slow ones stay, and the belief's mean goes to the edge whatever the
+    target does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge
+    as well.
     """
     hit, gains, is_box, hit_bin, bin_gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision = likelihood[:12]
     hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range, foreign, is_in_front = likelihood[12:]
@@ -132,7 +133,7 @@ def resample(weighted: Weighted, offset: float) -> NDArray[np.int64]:
 def moments(weighted: Weighted) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weighted mean (4,) and the lower triangular factor L of the covariance, L L^T = C (4, 4).
 
-    Cholesky's algorithm; a pivot that is null but for rounding gives a null column, so that a covariance of any rank
+    Cholesky's algorithm. A pivot that is null but for rounding gives a null column, so that a covariance of any rank
     has a factor (a belief clipped at x = 0, or copies of one particle).
     """
     states, weights, total = weighted.states, weighted.weights, weighted.total
@@ -164,9 +165,9 @@ def regularise(
     Two departures at the edges of the support. A particle must not be moved to where the looks deny it. After a
     detection that is out of its bin or range cell, or to the edge of the field of view. After a miss it is from an
     unseen bin into one that was looked at in vain; in steered looks, which have no border, to where the miss is much
-    less probable. (A belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell
-    after dwell.) Such a particle draws again, and stays where its ancestor is after a few failures. After a miss x is
-    clipped at 0 and not reflected: the motion model clips too, so that the posterior has an atom at x = 0, and
+    less probable. Such a particle draws again, and stays where its ancestor is after a few failures. (A belief split by
+    a miss has a covariance that spans the gap; its kernel would fill it again, dwell after dwell.) After a miss x is
+    clipped at 0 and not reflected. The motion model clips too, so that the posterior has an atom at x = 0, and
     reflection would empty it and push the mean outwards twice as far.
     """
     mean, factor = moments(weighted)
@@ -191,7 +192,7 @@ def regularise(
             x, y = out[i, 0], out[i, 2]
             if is_box:
                 moved_to = bin_of(x, y, n_bin)
-                # Outside of its bin are those of whom a detection is not.
+                # Outside of its bin are the particles that the detection is not of.
                 stays = (moved_to == hit_bin) == (was_at == hit_bin)
                 is_allowed = stays if is_hit else bin_gains[was_at] > 0.0 or bin_gains[moved_to] == 0.0
             elif is_hit:

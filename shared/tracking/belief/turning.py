@@ -104,7 +104,7 @@ def _moved(mean: Floats, covariance: Floats, dt: float, mode: int, sigma_s: floa
 def _mixed(shares: Floats, means: Floats, covariances: Floats, mode: int) -> tuple[Floats, Floats]:
     """What comes into a mode from each, with these shares, (3,): mean, (5,), and covariance, (5, 5).
 
-    Who begins to turn draws an acceleration anew; who flies straight has none.
+    A target that begins to turn draws an acceleration anew; one that flies straight has none.
     """
     mixed, around = np.zeros(DIM), np.zeros((DIM, DIM))
     for i in range(N_MODE):

@@ -183,7 +183,7 @@ def test_the_page_is_told_who_is_there(played: tuple[Store, Result]) -> None:
         ("world.targets.3.gone_s=2.0", "is there from 6 s to 2 s, must end after it begins"),
         ("world.targets.4.stays=true", "stays: means nothing with a trajectory"),
         ("world.targets.4.state=[1.0,0.0,1.0,0.0]", "must have state or trajectory, has both"),
-        ("world.targets.4.trajectory=[[1.0,2.0,3.0],[1.0,2.0,3.0]]", "row 2: t_s = 1 must be above that of row 1, 1"),
+        ("world.targets.4.trajectory=[[1.0,2.0,3.0],[1.0,2.0,3.0]]", "row 2: t_s = 1 must be above 1, the time of row"),
         ("world.targets.4.trajectory=nix.csv", "nix.csv: no such file"),
         ("world.targets.3.turns=[{from_s=1.0,to_s=2.0}]", "must have one of g, rate_deg_s, speed_km_s"),
         ("world.targets.3.turns=[{from_s=1.0,to_s=2.0,g=1.0,rate_deg_s=1.0}]", "must have g or rate_deg_s, not both"),

@@ -256,7 +256,7 @@ def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
-        ("0,10,10\n\n0,10,11\n", "line 4: t_s = 0 must be above that of line 2, 0"),
+        ("0,10,10\n\n0,10,11\n", "line 4: t_s = 0 must be above 0, the time of line 2"),
         ("0,10,10\n1,10,20000\n", "line 3: x_km and y_km must be within 10000 km, t_s within 1e+06 s"),
         ("0,10,10\n", "has 1 rows of numbers, must have at least 2"),
         ("0,10,10\n1,10\n", "line 3, '1,10': must be 3 numbers, t_s,x_km,y_km"),
