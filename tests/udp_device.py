@@ -19,14 +19,20 @@ class Device:
     """Targets in white noise, before an array of n x n antennas with n bins; as a context it answers."""
 
     def __init__(
-        self, n: int, amplitude_db: float, targets: Sequence[Sequence[float]], loss: float, outages: Collection[int]
+        self,
+        n: int,
+        amplitude_db: float,
+        targets: Sequence[Sequence[float]],
+        loss: float,
+        outages: Collection[int],
+        listens: tuple[str, int] = ("127.0.0.1", 0),
     ) -> None:
         """targets: [x, vx, y, vy] in dwell 0, km and km per dwell; outages: dwells without an answer."""
         self._n, self._amplitude_db, self._targets = n, amplitude_db, np.array(targets)
         self._loss, self._outages = loss, outages
         self._rng = np.random.default_rng(5)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
+        self._socket.bind(listens)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self.sent = self.lost = 0
 
