@@ -1,7 +1,7 @@
 """ASTERIX recordings: categories 021 (ADS-B), 048 (a radar's plots) and 062 (tracks), with 034 for a radar's place.
 
-The library `libasterix` decodes a record in about 1 ms. Times are seconds since midnight: the day is that of the packet
-in which a record came. A recording without packets has no date, and its days are counted from day 0.
+The library `libasterix` decodes a record in about 1 ms. Times are seconds since midnight. The packet in which a record
+came gives the day. A recording without packets has no date, and its days are counted from day 0.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -198,7 +198,7 @@ class _Days:
         if self._offset is None:
             return "ASTERIX has no date: times are since midnight UTC of the first day"
         came = f", which came {self._offset / 60.0:.0f} min after what their records say"
-        return f"ASTERIX has no date: the day is that of the packets{came if abs(self._offset) > APART_S else ''}"
+        return f"ASTERIX has no date: the packets give the day{came if abs(self._offset) > APART_S else ''}"
 
 
 def _part(record: Any, *path: str) -> Any:

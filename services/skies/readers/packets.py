@@ -1,7 +1,7 @@
 """Captures of packets, as tcpdump and Wireshark write them (pcap and pcapng): the UDP datagrams in them.
 
-Of the libraries, `scapy` has the GPL and 24 MB, `dpkt` takes all interfaces of a pcapng for the first one and had its
-last release in 2022. Libpcap refuses a pcapng with interfaces of different types. Formats: the drafts
+No library is light and well kept: `scapy` has the GPL and 24 MB. `dpkt` takes all interfaces of a pcapng for the first
+one, and had its last release in 2022. libpcap refuses a pcapng with interfaces of different types. Formats: the drafts
 draft-ietf-opsawg-pcap and -pcapng, and the list of link types of tcpdump.org.
 """
 

@@ -149,7 +149,7 @@ def test_a_flight_is_read_from_each_form(
     found = read(write(received(blocks, lambda one: ethernet(ipv4(one)))), tmp_path)
     check(found)
     assert (found.tally.form, found.begin_utc) == (form, "2024-05-01T23:58:40Z")
-    assert "ASTERIX has no date: the day is that of the packets" in found.tally.notes
+    assert "ASTERIX has no date: the packets give the day" in found.tally.notes
     assert any("39 of 79 packets are left out: they have link type 105" in note for note in found.tally.notes) == (
         write is two_interfaces
     )
