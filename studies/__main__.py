@@ -31,7 +31,7 @@ from cogradar.services.runs.run import untold
 from cogradar.shared.scenario.files import load
 
 SCALING, CROWD, DECISIONS, TRACKERS, AGENTS = "scale", "crowd", "judged", "trackers", "agents"  # markers in pages
-ACCURACIES, AGES = "accuracies", "ages"
+ACCURACIES, AGES, PEERS = "accuracies", "ages", "peers"
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -253,6 +253,32 @@ def decisions(
         if into:
             write_into(Path(into), {DECISIONS: [table]})
     print_tables(out, [table])
+
+
+@app.command()
+def peers(
+    scenario: ScenarioOption = "paper",
+    runs: Annotated[int, typer.Option(min=1, max=1000, help="Whose decisions are made again, seeds from 1.")] = 2,
+    decisions: Annotated[int, typer.Option(min=1, max=10_000, help="Of the ones that are not proved, at most.")] = 80,
+    simulations: Annotated[str, typer.Option(help="Of a decision.")] = "1000,12000",
+    into: IntoOption = None,
+) -> None:
+    """Let pomdp-py make the radar's decisions, and compare value and time with the radar's own search."""
+    from studies import page
+    from studies.peers import peers as study
+
+    with command() as stop:
+        numbers = simulations.split(",")
+        if not all(number.isdecimal() and 1 <= int(number) <= 1_000_000 for number in numbers):
+            raise BadInput(f"--simulations {simulations}: must be numbers from 1 to 1000000, such as 1000,12000")
+        if into:
+            check_page(Path(into), [PEERS])
+        study.solvers()
+        with _measuring(stop, as_json=False) as tell:
+            found = study.play(scenario, runs, decisions, [int(number) for number in numbers], tell, stop)
+        if into:
+            page.write(Path(into), PEERS, [found])
+    print_tables(out, [found])
 
 
 @app.command()

@@ -1,0 +1,1 @@
+"""The radar's decision as another library of POMDP solvers plays it."""
