@@ -16,6 +16,7 @@ from cogradar.services.feed.output import Format, Output
 GAP_S = 0.001  # between datagrams: a burst would overflow the buffers of receivers and switches
 CONNECT_S = 2.0
 RETRY_S = 1.0  # between attempts to connect again
+MOST_ANSWERED = 1 << 20  # bytes, with a picture
 DRAIN_S = 0.2  # at most, at the end: with data unread, what was sent last would be lost
 _ADDRESS = re.compile(r"(udp|tcp)://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]/:\s]+)):(\d{1,5})")
 
@@ -175,6 +176,8 @@ class Tcp:
         try:
             while data := connection.recv(65536):
                 answer += self._form.answer(data)
+                if len(answer) > MOST_ANSWERED:  # a server that asks without end: the rest waits in its socket
+                    return answer
         except BlockingIOError:
             return answer
         finally:

@@ -144,7 +144,7 @@ def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> No
         raise Refused("scan that lacks the direction of a beam")
     if nus.size == 0:
         return
-    if np.abs(nu_hats).max() > 1.0:
+    if np.abs(nu_hats).max() > 0.5:
         raise Refused(f"scan with a direction of {np.abs(nu_hats).max():g}")
     if limits.min() <= 0.0 or ranges.min() < 0.0 or sigmas.min() < 0.0:
         raise Refused("limits must be > 0, ranges and standard deviations of directions >= 0")

@@ -23,7 +23,7 @@ MAX_FILE_BYTES = 1 << 22  # of a scenario
 # millisecond, and all of these together in less than a fifth of a second.
 MAX_TEXT = 1 << 19
 MAX_LISTS, MAX_NUMBERS = MAX_ROWS + 10_000, 4 * MAX_ROWS + 10_000  # with these rows
-MAX_PIECES = {"=": 14_000, "[": 8_000, ",": 20_000, "\n": 20_000, "\\": 4_000}
+MAX_PIECES = {"=": 15_000, "[": 10_000, ",": 20_000, "\n": 24_000, "\\": 4_000}
 MAX_KEYS = 128  # of one table; none that there is has half as many
 MAX_DOTS = 32  # in one key: Python takes the square of their number
 MAX_NAME = 20
@@ -200,7 +200,7 @@ def _without_rows(text: str) -> tuple[str, dict[str, Any]]:
             return line[0]
         word = f"{mark}-{len(found)}"
         found[word] = rows
-        return f'{line[1]}"{word}"'
+        return f'{line[1]}"{word}"{line[3]}'
 
     return _ROWS.sub(taken, text), found
 
@@ -239,7 +239,7 @@ def _check_keys(table: dict[str, Any], name: str = "") -> None:
 
 
 _ELSEWHERE = "rows of trajectories go on one line each, or into CSV files"
-_ROWS = re.compile(r"^(trajectory[ \t]*=[ \t]*)(\[\[[-+.0-9eE, \t\[\]]*\]\])[ \t]*$", re.MULTILINE)
+_ROWS = re.compile(r"^([ \t]*trajectory[ \t]*=[ \t]*)(\[\[[-+.0-9eE, \t\[\]]*\]\])([ \t]*(?:#.*)?)$", re.MULTILINE)
 _DOT = re.compile(r"[\w\"'-][ \t]*\.[ \t]*(?=[\w\"'-])")  # between parts of a key
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.signal.array import apart, spatial_frequency
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.response import Response, response_of
 from cogradar.shared.signal.scan import Detections
@@ -72,7 +72,7 @@ class ScanRows(NamedTuple):
         nus = self._echoes_from(states)
         heard = self._heard(scan, nus)
         detected = (self._holds(scan, states, heard) & scan.is_over()).any(axis=1)
-        near = np.abs(scan.beam_nus - nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
+        near = apart(scan.beam_nus, nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
         lit = (near & (scan.beams >= 0)).any(axis=-1)
         power = (heard * scan.signature_power).max(axis=1, initial=0.0)
         return np.asarray(detected), np.asarray(power), np.asarray(lit)

@@ -14,8 +14,8 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.shared.numerics.elementwise import arcsin, hypot, ndtri
-from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, apart, around, bin_centres
+from cogradar.shared.numerics.elementwise import arcsin, hypot, ndtr, ndtri
+from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, apart, bin_centres
 from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.monopulse import off_axis_loss as one_way_loss
 
@@ -181,7 +181,7 @@ class LobeResponse:
         return np.asarray(near & (np.abs(ranges_km - other[1]) < NEIGHBOURS * self.range_cell_km))
 
     def shares(self, nus: Floats, at: Floats, is_tested: NDArray[np.bool_]) -> Floats:
-        return np.asarray((is_tested & (np.abs(at - nus[:, np.newaxis]) < 0.5 * self.lobe)).mean(axis=1))
+        return np.asarray((is_tested & (apart(at, nus[:, np.newaxis]) < 0.5 * self.lobe)).mean(axis=1))
 
     def bin_for_ranges(self, nu: float) -> int:  # noqa: ARG002
         return self.n_bin // 2  # any: directions are drawn apart from ranges
@@ -202,7 +202,7 @@ class LobeResponse:
         return placed(particles, hypot(particles[:, 0], particles[:, 2]), nu)
 
     def row_of(self, nus: Floats, sigma: Floats, limits: tuple[float, float, float], nu: float) -> Floats:
-        row, nearest = np.zeros(LOOKS_ROW), np.argsort(np.abs(nus - nu), kind="stable")[:KEPT_LOOKS]
+        row, nearest = np.zeros(LOOKS_ROW), np.argsort(apart(nus, nu), kind="stable")[:KEPT_LOOKS]
         row[:3] = limits
         row[3 : 3 + nearest.size] = nus[nearest]
         row[3 + KEPT_LOOKS : 3 + KEPT_LOOKS + nearest.size] = sigma[nearest]
@@ -215,12 +215,13 @@ class LobeResponse:
         return row[3 : 3 + KEPT_LOOKS][is_look], sigma[is_look], (low, high, far)
 
     def _directions(self, nu_c: float, measured: tuple[float, float], n: int, rng: np.random.Generator) -> Floats:
-        """Directions (n,), around the ends: N(nu_hat, nu_sigma^2); within half of the main lobe if sigma is 0."""
+        """Directions (n,) in front of the array: N(nu_hat, nu_sigma^2); within half of the main lobe if sigma is 0."""
         nu_hat, nu_sigma = measured
         if nu_sigma == 0.0:
             low, high = np.clip(nu_c + 0.5 * self.lobe * np.array([-1.0, 1.0]), -0.5, 0.5)
             return rng.uniform(low, high, n)
-        return around(nu_hat + nu_sigma * ndtri(rng.uniform(0.0, 1.0, n)))
+        low, high = ndtr((np.array([-0.5, 0.5]) - nu_hat) / nu_sigma)
+        return np.clip(nu_hat + nu_sigma * ndtri(rng.uniform(low, high, n)), -0.5, 0.5)
 
 
 Response = BinResponse | LobeResponse

@@ -208,9 +208,11 @@ class Candidates:
         is_other_end = mates & (np.abs(where[:, :1] - where[:, 0]) > 0.5)
         totals = self._totals[sure] * (n_scan / np.maximum(self._measured[rows], 1))  # rows may lack other scans
         strength = totals + product(is_other_end.astype(np.float64), totals)
-        which_end = np.array([self._at_end(row) for row in rows.tolist()])
-        if model.response.measures_range:  # looks beside the bins' centres: those at both ends are not of one direction
-            which_end = totals
+        which_end = (
+            totals  # with range cells: looks beside the bins' centres, which at both ends are not of one direction
+        )
+        if not model.response.measures_range:
+            which_end = np.array([self._at_end(row) for row in rows.tolist()])
         picked = list[int]()
         for i in np.lexsort((rows, -which_end, -strength)).tolist():
             if not mates[i, picked].any() and rows[i] not in rows[picked]:

@@ -107,6 +107,7 @@ def updated(belief: Belief, z: Floats, noise: Floats) -> Belief:
     s = h @ belief.covariances @ ht + _diagonal(noise)[:, np.newaxis]
     gain = belief.covariances @ ht @ np.linalg.inv(s)
     off = z[:, np.newaxis] - expected
+    off[..., 0] -= np.rint(off[..., 0])  # -0.5 and 0.5 are one direction
     means = belief.means + np.einsum("...ab,...b->...a", gain, off)
     covariances = belief.covariances - gain @ s @ np.swapaxes(gain, -1, -2)
     logs = -0.5 * (_distance(off, s) + np.log(np.linalg.det(s)))

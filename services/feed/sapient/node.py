@@ -124,7 +124,7 @@ class Sapient(Format):
     def _task(self, message: Any, picture: Picture | None) -> bytes:
         """What is to be said of a task at once."""
         name = message.task.task_id
-        if picture is None or message.destination_id.lower() not in {"", _node(picture.site)}:
+        if picture is None or not self._is_accepted or message.destination_id.lower() not in {"", _node(picture.site)}:
             return self._drop("a task for another node, or before the radar has registered")
         if not _ULID.fullmatch(name):
             return self._drop(f"a task whose identifier is no ULID: {name[:40]!r}")

@@ -17,6 +17,7 @@ from cogradar.shared.scenario.limits import FAR, MIXTURE_STATES, MOST_NUMBERS, M
 from cogradar.shared.scenario.plugins.names import PluginRefused
 from cogradar.shared.scenario.plugins.resolver import Caller
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import around
 from cogradar.shared.tracking.belief.gaussian_mixture import normal_points
 from cogradar.shared.tracking.belief.likelihood import Looks, likelihood_of
 from cogradar.shared.tracking.belief.resampling import weigh
@@ -107,7 +108,9 @@ def observation_of(model: "TrackerModel", looks: Looks) -> Observation:
     lobe, cell_km = looks.response.lobe, looks.response.range_cell_km
     nu, nu_sigma = (looks.hit_nu, lobe / sqrt(12.0)) if looks.is_hit else (0.0, 0.0)
     if looks.nu_sigma > 0.0:
-        nu, nu_sigma = looks.nu_hat, looks.nu_sigma
+        # On the look's side: a filter that knows no circle would take the other end for a direction far away.
+        beside = looks.hit_nu + float(around(looks.nu_hat - looks.hit_nu))
+        nu, nu_sigma = min(max(beside, -0.5), 0.5), looks.nu_sigma
 
     def likelihood(states: Floats) -> Floats:
         given = np.array(states, dtype=np.float64, order="C")

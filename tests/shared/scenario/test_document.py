@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cogradar.shared.scenario.document import MAX_CHAIN, read
@@ -296,3 +297,12 @@ def test_rows_of_a_trajectory_have_heights_all_or_none_and_no_other_height(tmp_p
     assert "row 2: all rows must have z_km, or none of them" in said("[[0, 9, 9, 1.5], [1, 9, 9]]")
     mixed = said("[[0, 9, 9, 1.5], [1, 9, 9, 1.5]]", "height_km = 3.0\n")
     assert "height_km: means nothing with a trajectory that has z_km" in mixed
+
+
+@pytest.mark.parametrize("form", ["trajectory = {}", "  trajectory={}  ", "trajectory = {}  # of a recording"])
+def test_many_rows_on_one_line_are_read_however_the_line_is_written(form: str, tmp_path: Path) -> None:
+    rows = [[float(i), 10.0 + i * 1e-3, 10.0] for i in range(9000)]
+    text = f'extends = "smoke"\n[radar]\ntracks = 1\n[[world.targets]]\n{form.format(rows)}\n'
+    world = load(saved(tmp_path, sky=text)["sky"]).world
+    assert world is not None
+    assert np.array(world.targets[0].trajectory).tolist() == rows
