@@ -15,7 +15,7 @@ from cogradar.shared.scenario.limits import MAX_ROWS, MIN_ROWS
 from cogradar.shared.scenario.trajectories.rows import check_rows
 
 MAX_BYTES = 1 << 23
-MAX_LINES = 2 * MAX_ROWS  # of which half may be empty
+MAX_LINES = 2 * MAX_ROWS  # half of them may be empty
 TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file
 ELEMENT_ERRORS = ["gain_db", "phase_deg"]  # header of a file with errors of antennas
 MAX_ELEMENTS = 512

@@ -46,7 +46,7 @@ def reacquire(
 
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
-    """The state after a dwell of which nothing is known; particles that begin again live through that dwell, too."""
+    """The state after a dwell without information; particles that begin again live through that dwell, too."""
     missed = _remember_miss(model, state, np.zeros(model.response.memory_width), evidence=1.0)
     return _bounded(missed)._replace(belief=Particles(predicted))
 
