@@ -32,6 +32,7 @@ Ints = NDArray[np.int64]
 SIGMAS = 3.0  # standard deviations between what may be of one target
 ONE_TARGET = {True: 3.0, False: 9.5}  # squared distance of two tracks of one target, both confirmed or not
 _ROUNDING = 1e-15  # of an eigenvalue, relative to the largest one
+_MIRRORED = np.array([1.0, 1.0, -1.0, -1.0])  # a state at the other end of the field
 NEAR_KM = 1e-3  # a target is not nearer than this
 
 
@@ -157,7 +158,7 @@ def _one_each(
         return list(plans)
     moments = moved(radar, plans, k)
     places = _places(*moments)
-    near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
+    near = apart(places[:, 0], places[:, 0, np.newaxis]) < response.lobe
     spread_km = SIGMAS * hypot(places[:, 3], places[:, 3, np.newaxis])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
     near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
@@ -165,7 +166,10 @@ def _one_each(
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
         bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]
-        if {i, j} & ended or _distance(*(of_both[[i, j]] for of_both in moments)) >= bound:
+        states, covariances = (of_both[[i, j]] for of_both in moments)
+        if abs(places[i, 0] - places[j, 0]) > 0.5:  # at both ends they have one echo: as if they were at one
+            states[1], covariances[1] = states[1] * _MIRRORED, covariances[1] * np.outer(_MIRRORED, _MIRRORED)
+        if {i, j} & ended or _distance(states, covariances) >= bound:
             continue
         ended.add(i if plans[j].confirmed and not plans[i].confirmed else j)
     return [plan for i, plan in enumerate(plans) if i not in ended]

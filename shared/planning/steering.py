@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.angle import apart
+from cogradar.shared.signal.array import angle_bin, bin_centres, mean_direction
 from cogradar.shared.signal.response import Response
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 
@@ -57,12 +58,14 @@ def _covering(nus: Floats, most: int, lobe: float, loss: Floats) -> tuple[Floats
     """
     found, chances, off_axis = np.empty(most), np.empty(most), np.empty(0)
     left, n_left, n = nus.copy(), nus.size, 0
+    is_around = n_left > 0 and nus.min() < lobe - 0.5 and nus.max() > 0.5 - lobe
     while n_left > 0 and n < most:
-        nu = _apart(_best(left[:n_left], lobe, loss), found[:n], lobe)
+        nu = _moved_apart(_best(left[:n_left], lobe, loss), found[:n], lobe, is_around)
         off, n_covered, n_kept = np.empty(n_left), 0, 0
         for i in range(n_left):
-            if abs(left[i] - nu) <= 0.5 * lobe:
-                off[n_covered] = abs(left[i] - nu)
+            off_axis_by = apart(left[i], nu)
+            if off_axis_by <= 0.5 * lobe:
+                off[n_covered] = off_axis_by
                 n_covered += 1
             else:
                 left[n_kept] = left[i]
@@ -76,13 +79,19 @@ def _covering(nus: Floats, most: int, lobe: float, loss: Floats) -> tuple[Floats
 
 
 @kernel
-def _apart(nu: float, others: Floats, lobe: float) -> float:
-    """A direction, moved away from the nearest of others to a lobe from it if it is nearer, within the field."""
+def _moved_apart(nu: float, others: Floats, lobe: float, is_around: bool) -> float:
+    """A direction, moved away from the nearest of others to a lobe from it if it is nearer.
+
+    is_around : particles are at both ends, so that it may move around them; else it stays within the field
+    """
     if others.size == 0:
         return nu
-    nearest = others[np.argmin(np.abs(nu - others))]
+    nearest, least = nu, 1.0
+    for other in others:
+        if apart(nu, other) < least:
+            nearest, least = other + round(nu - other), apart(nu, other)
     moved = nearest + math.copysign(max(abs(nu - nearest), lobe), nu - nearest)
-    return float(min(max(moved, -0.5), 0.5))
+    return float(moved - round(moved) if is_around else min(max(moved, -0.5), 0.5))
 
 
 @kernel
@@ -97,9 +106,16 @@ def _directions_and_ranges(states: Floats) -> tuple[Floats, Floats]:
 
 
 def direction_in(response: Response, nus: Floats, bin_: int) -> Directions:
-    """The mean direction of the particles that will be in a bin, its centre if there are none."""
-    own = nus[angle_bin(nus, response.n_bin) == bin_]
-    nu = float(own.mean()) if own.size else float(bin_centres(response.n_bin)[bin_])
+    """The mean direction of the particles that will be in a bin, its centre if there are none.
+
+    The bins at both ends are one.
+    """
+    centre = float(bin_centres(response.n_bin)[bin_])
+    is_own = angle_bin(nus, response.n_bin) == bin_
+    if abs(centre) == 0.5:
+        is_own |= angle_bin(nus, response.n_bin) == response.n_bin - 1 - bin_
+    own = nus[is_own]
+    nu = mean_direction(own)[0] if own.size else centre
     loss = float((response.loss(own - nu) ** 2).mean()) if own.size else 1.0
     return Directions(np.array([nu]), np.array([own.size / nus.size]), loss)
 
@@ -128,19 +144,23 @@ def gate(model: TrackerModel, ranges_km: Floats, apart_km: float) -> Floats:
 def _best(nus: Floats, lobe: float, loss: Floats) -> float:
     """Direction of the cell that covers most of these, (n,); `loss` is D_T D_R from the axis to the null at `lobe`."""
     step, fine = lobe / _PER_LOBE, (loss.size - 1) / lobe
-    count = np.zeros(int(1.0 / step) + _PER_LOBE + 3, dtype=np.int64)
+    n = round(1.0 / step)  # places on the circle; the first ones follow the last ones again
+    count = np.zeros(n + _PER_LOBE, dtype=np.int64)
     for nu in nus:
-        count[int((nu + 0.5) / step) + 1] += 1
+        place = int((nu + 0.5) / step)
+        count[place + 1] += 1
+        if place < _PER_LOBE - 1:
+            count[n + place + 1] += 1
     count = np.cumsum(count)
-    first = np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE])  # places first + 1 .. first + _PER_LOBE
+    first = np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE])  # places first .. first + _PER_LOBE - 1
     best = -0.5 + (float(first) + 0.5 * _PER_LOBE) * step
     for _ in range(_REFINED):
         total, moment = 0.0, 0.0
         for nu in nus:
-            position = abs(nu - best) * fine
+            position = apart(nu, best) * fine
             if position < loss.size - 1:
                 weight = loss[int(position)] ** 2
                 total += weight
-                moment += weight * nu
+                moment += weight * (nu + round(best - nu))  # as near to the cell as it is around the ends
         best = moment / total
-    return best
+    return best - round(best)

@@ -19,6 +19,7 @@ from cogradar.shared.power.looks import First, emitted
 from cogradar.shared.power.rules import Emission, Requests
 from cogradar.shared.power.wide import sure_powers, wanted
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import apart
 
 TURN = 10  # dwells: of so many, one has a look for one track in turn, every TURN * M dwells for each
 MOST = 0.9  # of the power that is not fixed, for the track whose turn it is
@@ -36,7 +37,7 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """
     found = requests.worths / np.maximum(requests.chances.sum(axis=1), LEAST)
     worths = np.maximum(found[:, np.newaxis] * requests.chances, LEAST)
-    is_open = _apart(requests, radar.array.n_bin)
+    is_open = _open(requests, radar.array.n_bin)
     turn, is_turn = divmod(requests.k, TURN)
     given = None
     if is_turn == 0:
@@ -48,13 +49,13 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     return emitted(radar, requests, worths, is_open, given)
 
 
-def _apart(requests: Requests, n_bin: int) -> NDArray[np.bool_]:
+def _open(requests: Requests, n_bin: int) -> NDArray[np.bool_]:
     """Which cells may be lit for each track, (M, C): none that is the first one of another, the stronger of two."""
-    cells, is_open = requests.nus * (n_bin - 1), requests.chances > 0.0
+    is_open = requests.chances > 0.0
     is_open[:, 0] = True
     for m in np.argsort(-requests.gains, kind="stable").tolist():
         if is_open[m, 0]:
-            is_same = np.abs(cells - cells[m, 0]) < 0.5
+            is_same = apart(requests.nus, requests.nus[m, 0]) * (n_bin - 1) < 0.5
             is_same[m] = False
             is_open &= ~is_same
     return is_open

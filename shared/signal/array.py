@@ -16,6 +16,7 @@ from cogradar.shared.numerics.quadrature import gauss_legendre
 KEPT_LOOKS = 16
 _ELEVATIONS, _SHARES = gauss_legendre(8)
 _LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is known of x
+_BEYOND = 3.0  # standard deviations beyond an end at which a direction may be measured
 _NEAR_KM = 1e-3  # keeps a direction finite
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
@@ -101,6 +102,26 @@ def around(nu: ArrayLike) -> NDArray[np.float64]:
     """Directions within -0.5 .. 0.5: beyond an end the array hears what comes from the other one; (...) -> (...)."""
     nu = np.asarray(nu, dtype=np.float64)
     return np.asarray(nu - np.rint(nu))
+
+
+def mean_direction(nus: NDArray[np.float64]) -> tuple[float, float]:
+    """Mean and standard deviation of directions, (n,), on the circle, which is cut at boresight if they are at both
+    ends.
+    """
+    turned = np.where(nus < 0.0, nus + 1.0, nus)
+    is_across = nus.max() - nus.min() > 0.5 and turned.std() < nus.std()
+    cut = turned if is_across else nus
+    return float(around(cut.mean())), float(cut.std())
+
+
+def at_own_end(nu: float, sigma: float, own: float) -> float:
+    """A measured direction, beyond the end at which a track is and not at the other one, where noise explains that.
+
+    sigma : of the measurement
+    own   : direction of the track
+    """
+    beyond = nu + float(np.rint(own - nu))
+    return beyond if abs(beyond) < 0.5 + _BEYOND * sigma else nu
 
 
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:

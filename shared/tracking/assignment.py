@@ -23,6 +23,7 @@ from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.error_function import erfc
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.angle import apart
+from cogradar.shared.signal.array import around
 from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.response import Response
 from cogradar.shared.signal.scan import Detections, Floats
@@ -199,14 +200,14 @@ def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floa
     nu_c    : of the look
     chances : (m,) p_i, probability of each to be in the range cell
     """
-    return float(np.sqrt(np.sum(chances * (response.loss(nus - nu_c) * (nus - nus[own])) ** 2)))
+    return float(np.sqrt(np.sum(chances * (response.loss(nus - nu_c) * around(nus - nus[own])) ** 2)))
 
 
 def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
     """Whether a target is expected so near, of tracks (m, 5 and more), that cells may have the echoes of both."""
     others = np.delete(tracks, own, axis=0)
-    off = np.abs(others - tracks[own])
-    is_near = (off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * response.range_cell_km)
+    off_nu, off_km = np.abs(around(others[:, 0] - tracks[own, 0])), np.abs(others[:, 2] - tracks[own, 2])
+    is_near = (off_nu < response.lobe) & (off_km < NEIGHBOURS * response.range_cell_km)
     return bool((is_near & (others[:, 4] > _LIKELY)).any())
 
 

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.elementwise import hypot
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
+from cogradar.shared.signal.array import angle_bin, apart, mean_direction, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
 from cogradar.shared.signal.response import FAR_KM, Response, strongest_of_each
 from cogradar.shared.signal.scan import Detections
@@ -110,7 +110,7 @@ def _is_as_told(model: TrackerModel, state: TrackState, scan: Detections, at: in
     """Whether a track in this row of the roster is still expected about where the roster of an older waveform says."""
     nu, nu_sigma, range_km, range_sigma = (float(value) for value in np.asarray(scan.expected)[at, :4])
     expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
-    off_nu = float(apart(spatial_frequency(expected).mean(), nu))
+    off_nu = float(apart(mean_direction(spatial_frequency(expected))[0], nu))
     off_km = abs(float(hypot(expected[:, 0], expected[:, 2]).mean()) - range_km)
     is_there = not response.measures_range or off_km < _AS_TOLD * range_sigma + response.range_cell_km
     return is_there and off_nu < _AS_TOLD * nu_sigma + 0.5 * response.lobe
@@ -278,9 +278,9 @@ def _by_belief(model: TrackerModel, state: TrackState, scan: Detections, rows: I
     where it expects the target.
     """
     expected, response = predicted_states(state.belief.sample(), model.motion.dt), model.response
-    nus, ranges_km = spatial_frequency(expected), hypot(expected[:, 0], expected[:, 2])
-    off_nu, off_km = apart(scan.nu_hats, float(nus.mean())), np.abs(scan.ranges_km - ranges_km.mean())
-    is_near = off_nu < _SIGMAS * hypot(nus.std(), scan.nu_sigmas) + 0.5 * response.lobe
+    (nu, nu_sigma), ranges_km = mean_direction(spatial_frequency(expected)), hypot(expected[:, 0], expected[:, 2])
+    off_nu, off_km = apart(scan.nu_hats, nu), np.abs(scan.ranges_km - ranges_km.mean())
+    is_near = off_nu < _SIGMAS * hypot(nu_sigma, scan.nu_sigmas) + 0.5 * response.lobe
     if response.measures_range:
         is_near &= off_km < _SIGMAS * ranges_km.std() + response.range_cell_km
     found = echoes(response, scan, np.flatnonzero(scan.is_over() & is_near))
@@ -333,7 +333,7 @@ def _is_nearest(scan: Detections, own: int, rows: Ints) -> NDArray[np.bool_]:
     is_lit = ((scan.beam_nus[:, np.newaxis] == nus[:, np.newaxis]) & (scan.beams >= 0)[:, np.newaxis]).any(axis=2)
     low_km, high_km = scan.gates[:, :1], scan.gates[:, 1:]
     is_tested = (high_km == 0.0) | (ranges_km == 0.0) | ((ranges_km > low_km) & (ranges_km < high_km))
-    distances = np.where(is_lit & is_tested, np.abs(scan.beam_nus[:, :1] - nus), np.inf)
+    distances = np.where(is_lit & is_tested, apart(scan.beam_nus[:, :1], nus), np.inf)
     return np.asarray(distances[own] <= distances.min(axis=0) + _ROUNDING)
 
 

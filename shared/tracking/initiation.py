@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.elementwise import arcsin, exp, interpolated, log, log_sum_exp
-from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.array import at_own_end, bin_centres, mean_direction, spatial_frequency
 from cogradar.shared.signal.radar_equation import amplitude
 from cogradar.shared.signal.response import draw_positions, placed
 from cogradar.shared.signal.scan import Detections
@@ -178,7 +178,7 @@ def redraw(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Ge
     belief, bin_ = particles.copy(), hit.response.bin_for_ranges(hit.hit_nu)
     range_km = _draw_ranges(model, log_likelihood, particles.shape[0], rng)
     belief[:, 0::2] = draw_positions(bin_, sensor.n_bin, range_km, rng)
-    return hit.response.aimed(belief, hit.hit_nu, (hit.nu_hat, hit.nu_sigma), hit.range_km, rng)
+    return hit.response.aimed(belief, hit.hit_nu, _measured_by(particles, hit), hit.range_km, rng)
 
 
 def turn(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Generator) -> Floats | None:
@@ -195,7 +195,15 @@ def turn(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Gene
     if weighted.total**2 < (DIM + 1) * weighted.total_sq or weighted.total == 0.0:
         return None
     turned: Floats = particles[resample(weighted, rng.random())]
-    return hit.response.turned(turned, hit.hit_nu, (hit.nu_hat, hit.nu_sigma), rng)
+    return hit.response.turned(turned, hit.hit_nu, _measured_by(turned, hit), rng)
+
+
+def _measured_by(particles: Floats, hit: Looks) -> tuple[float, float]:
+    """Measured direction and its standard deviation, of a track that is here."""
+    nu = hit.nu_hat
+    if abs(nu) > 0.5 - hit.response.lobe:
+        nu = at_own_end(nu, hit.nu_sigma, mean_direction(spatial_frequency(particles))[0])
+    return min(max(nu, -0.5), 0.5), hit.nu_sigma
 
 
 def doubted(model: TrackerModel, predicted: Floats, rng: np.random.Generator) -> Floats:

@@ -22,6 +22,7 @@ from cogradar.shared.numerics.error_function import erf, erfc
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import cholesky, dot, product, solve
 from cogradar.shared.scenario.limits import MIXTURE_STATES
+from cogradar.shared.signal.array import at_own_end
 from cogradar.shared.signal.response import FAR_KM
 from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, in_lobes, likelihood_of
 from cogradar.shared.tracking.belief.turning import AT_FIRST, DIM, LATERAL, N_MODE, factor, moved_modes
@@ -117,7 +118,10 @@ def condition(model: TrackerModel, predicted: GaussianMixture, looks: Looks) -> 
     # If the belief was wrong, the target may be anywhere in the look and its gate.
     low_km, high_km = model.acquisition.ranges_km if looks.high_km >= FAR_KM else (looks.low_km, looks.high_km)
     wrong = WRONG * cell_km / (high_km - low_km) / (2.0 * model.response.lobe)
-    measured = np.array([*_measured(looks), looks.range_km, cell_km])
+    nu, nu_sigma = _measured(looks)
+    if abs(nu) > 0.5 - model.response.lobe:
+        nu = at_own_end(nu, nu_sigma, _direction(_merged(*predicted)[0])[0])
+    measured = np.array([nu, nu_sigma, looks.range_km, cell_km])
     *left, evidence = _detected(*predicted, measured, wrong, model.acquisition.v_max_km_s, model.is_mixture)
     return GaussianMixture(*left), evidence
 
@@ -146,7 +150,8 @@ def _begun(measured: Floats, v_max: float, has_turns: bool) -> tuple[Floats, Flo
     measured : (4,) direction, its standard deviation, centre of the range cell, width of the cell, km
     """
     nu, nu_sigma, range_km, cell_km = measured
-    nu = _in_front(nu, nu_sigma)  # at end-fire itself no direction, measured later, would move the mean
+    # At end-fire itself no direction, measured later, would move the mean.
+    nu = _in_front(min(max(nu, -0.5), 0.5), nu_sigma)
     cos, sin = sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 2.0 * nu
     # Across the line of sight: d nu = 0.5 cos(theta) d theta; next to end-fire not wider than the direction can say.
     across = 2.0 * range_km * nu_sigma / max(cos, sqrt(2.0 * nu_sigma), 1e-3)

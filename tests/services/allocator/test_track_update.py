@@ -159,6 +159,15 @@ def test_of_two_tracks_of_one_target_one_ends(other: dict[str, Any], left: list[
     assert roster.ids.tolist() == left
 
 
+@pytest.mark.parametrize(("range_km", "left"), [(60.1, [1, 7]), (64.0, [1, 2, 7])])
+def test_tracks_of_one_echo_at_both_ends_are_one(range_km: float, left: list[int]) -> None:
+    """The array hears one direction there: a second track had no detection of its own, was hidden, and never ended."""
+    scan = _scan((0.3, 20.25), roster=_roster(1, 2, 4))
+    ended = Plan(run="r", k=5, t=6, target=4, status="ended", existence=0.001, confirmed=True, in_doubt=False)
+    roster = _roster_of(_waveform(scan, _plan(1, 0.4997, 60.0), _plan(2, -0.4997, range_km), ended))
+    assert roster.ids.tolist() == left
+
+
 def test_a_tentative_track_gives_way_to_a_younger_one_that_is_confirmed() -> None:
     scan = _scan((0.3, 20.25), roster=_roster(1, 2), limits=99.0)
     roster = _roster_of(_waveform(scan, _plan(1, 0.1, 60.0, confirmed=False), _plan(2, 0.1, 60.0)))

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cogradar.shared.planning.steering import direction_in, directions, expected_at, gate
-from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.signal.array import apart, around, bin_centres, spatial_frequency
 from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.tracking.track import start
@@ -74,6 +74,26 @@ def test_two_clusters_have_a_look_each_the_larger_first() -> None:
     assert found.nus == pytest.approx([0.3, -0.1], abs=2e-4)
     assert found.chances.tolist() == [0.7, 0.3]
     assert directions(RESPONSE, nus, 1).nus.size == 1
+
+
+@pytest.mark.parametrize("turn", np.arange(1, 16).tolist())
+@pytest.mark.parametrize("width", [0.3, 0.75, 1.2])
+def test_looks_turn_with_a_belief_around_the_ends(width: float, turn: int) -> None:
+    """Shifted by whole lobes, so that the places at which cells are tried are the same."""
+    nus = 0.1 + width * LOBE * np.append(rng(7).uniform(-1.0, 1.0, 400), rng(8).uniform(0.0, 0.5, 100))
+    inside, across = directions(RESPONSE, nus, 3), directions(RESPONSE, around(nus + turn * LOBE), 3)
+    assert apart(across.nus, inside.nus + turn * LOBE) == pytest.approx(np.zeros(inside.nus.size), abs=0.005 * LOBE)
+    assert across.chances == pytest.approx(inside.chances, abs=0.005)
+    assert across.loss == pytest.approx(inside.loss, abs=0.005)
+    assert (np.abs(across.nus) <= 0.5).all()
+
+
+@pytest.mark.parametrize("bin_", [0, 15])
+def test_the_bins_at_both_ends_are_one_cell(bin_: int) -> None:
+    found = direction_in(RESPONSE, np.array([0.49, -0.488, 0.3]), bin_)
+    assert apart(found.nus, [-0.499]) == pytest.approx([0.0], abs=1e-12)
+    assert found.chances == pytest.approx([2.0 / 3.0])
+    assert found.loss == pytest.approx((RESPONSE.loss(np.array([0.011, 0.011])) ** 2).mean())
 
 
 @pytest.mark.parametrize("nu", [-0.5, 0.5])

@@ -54,6 +54,8 @@ def test_of_tracks_in_one_cell_the_strongest_is_lit() -> None:
     gains, worths = [300.0, 900.0, 600.0, 900.0], [0.9, 0.5, 0.9, 0.5]
     requests = asked([[10], [10], [10], [11]], 4 * [[1.0]], gains, worths, k=1)
     assert lit_bins(urgency(RADAR, requests))[:, 0].tolist() == [-1, 10, -1, 11]
+    at_both_ends = asked([[0], [99], [0], [1]], 4 * [[1.0]], gains, worths, k=1)
+    assert lit_bins(urgency(RADAR, at_both_ends))[:, 0].tolist() == [-1, 99, -1, 1]
 
 
 def test_the_first_cell_of_a_stronger_track_is_no_further_cell_of_another() -> None:

@@ -11,8 +11,10 @@ from cogradar.shared.signal import angle
 from cogradar.shared.signal.array import (
     angle_bin,
     apart,
+    around,
     bin_centres,
     in_plane,
+    mean_direction,
     on_ground,
     spatial_frequency,
     steering_vector,
@@ -25,6 +27,15 @@ POSITION = st.floats(-300.0, 300.0)
 def test_bin_centres_include_both_ends() -> None:
     np.testing.assert_allclose(bin_centres(100), -0.5 + np.arange(100) / 99, atol=1e-15)
     assert (bin_centres(100)[0], bin_centres(100)[-1]) == (-0.5, 0.5)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.4, 0.49, -0.52, -0.6])
+def test_the_mean_of_directions_turns_with_them(turn: float) -> None:
+    nus = 0.1 + 0.03 * np.random.default_rng(1).standard_normal(500)
+    mean, sigma = mean_direction(around(nus + turn))
+    assert apart(mean, nus.mean() + turn) == pytest.approx(0.0, abs=1e-12)
+    assert sigma == pytest.approx(nus.std(), rel=1e-9)
+    assert -0.5 <= mean <= 0.5
 
 
 def test_first_and_last_bin_are_one_direction() -> None:

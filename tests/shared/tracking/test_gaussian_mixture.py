@@ -73,6 +73,11 @@ def test_a_detection_at_the_other_end_is_one_beside_the_track() -> None:
     assert as_probable == pytest.approx(probable, rel=1e-9)
     np.testing.assert_allclose(other_end.means, beyond.means, rtol=1e-9)
     assert float(spatial_frequency(other_end.moments()[0])) > 0.49
+    # Also where the belief may be wrong: its target is not 84 km away.
+    far = found_look(MODEL.response, 0.4995, 0.01, 20.0, 5.0, (-0.4995, 0.002, 46.25), (35.0, 48.0))
+    mean, covariance = condition(MODEL, belief, far)[0].moments()
+    assert mean[2] > 42.0
+    assert covariance[2, 2] < 2.0**2
     states = np.array([[2.0, 0.0, 42.0, 0.0], [2.0, 0.0, -42.0, 0.0]])
     same = [weigh(states, likelihood_of(MODEL.sensor, at(nu))).weights for nu in (0.4995, -0.5005)]
     np.testing.assert_allclose(same[0], same[1], rtol=1e-9)

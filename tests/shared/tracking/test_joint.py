@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from cogradar.shared.signal.array import around
 from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import (
@@ -172,6 +173,20 @@ def test_of_two_in_one_cell_one_has_the_detection_and_the_other_is_hidden() -> N
     assert told(scan, 1).nus.size == 0
     alone = scan_of([(0.1, 0.104, 50.25)], [(0.1, 50.2)])
     assert shares(alone) == [Share(0)]
+
+
+@pytest.mark.parametrize("range_km", [50.3, 53.9])
+def test_the_same_across_the_ends_of_the_field(range_km: float) -> None:
+    """A neighbour at the other end was a field away: it hid nothing, and drew directions aside without end."""
+    found = list[list[Share]]()
+    for turn in (0.0, 0.394, 0.399, -0.604):
+        looked, measured, own, other = around(np.array([0.1, 0.104, 0.1, 0.11]) + turn).tolist()
+        found.append(shares(scan_of([(looked, measured, 50.25)], [(own, 50.2), (other, range_km)])))
+        doubtful = scan_of([(looked, float(around(0.16 + turn)), 50.25)], [(own, 50.2), (other, range_km)])
+        found[-1] += shares(doubtful)
+    for across in found[1:]:
+        for one, inside in zip(across, found[0], strict=True):
+            assert one == pytest.approx(inside, abs=1e-12)
 
 
 def test_what_hides_is_the_range_cell() -> None:

@@ -158,6 +158,19 @@ def test_a_detection_in_an_unexpected_direction_keeps_the_ranges() -> None:
     assert np.hypot(after.particles[:, 0], after.particles[:, 2]).std() == pytest.approx(0.3, rel=0.15)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_direction_measured_beyond_an_end_leaves_the_track_at_its_end(side: float) -> None:
+    """Drawn anew about what was measured, it was at the other end, where its target is not."""
+    beyond = hit(NARROW, nus=np.array([0.498 * side]), nu_hat=-0.4998 * side, nu_sigma=0.001, range_km=90.25)
+    for range_km in (60.0, 90.2):  # a range that the belief did not expect, and one that a few particles have
+        nus = (0.47 + 0.003 * rng(5).standard_normal(2000)) * side
+        ranges_km = range_km + 0.3 * rng(6).standard_normal(2000)
+        after = update(PAPER, at(nus, ranges_km), beyond, rng(7)).particles
+        found = spatial_frequency(after) * side
+        assert found.min() > 0.49
+        assert found.mean() == pytest.approx(0.4992, abs=4e-4)
+
+
 def test_an_amplitude_that_nothing_explains_keeps_what_is_expected() -> None:
     states = STILL * spread(4000, 0.001, 0.3)
     after = update(PAPER, states, hit(amplitude=60.0, nu_hat=NU, nu_sigma=0.001), rng(13))
