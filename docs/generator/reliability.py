@@ -85,7 +85,7 @@ PROOFS = (
     ),
     Proof(
         "strangers",
-        "Who has no certificate, or another role's, has no effect.",
+        "Without a certificate, or with another role's, a process has no effect.",
         "a table of attempts against a run, which ends with its digest",
         f"{PYTEST}tests/services/certs",
     ),

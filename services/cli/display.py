@@ -224,7 +224,8 @@ def run_tables(result: Result) -> list[Table]:
         lost = "  LOST" if overall["lost"] else ""
         lost += "" if overall["tracked"] else ", not tracked"
         has_track = overall["tracked"] or overall["false_track"]
-        acquired = f", acquired in {result.run['acquisition_scans']} scans" if has_track else ""
+        scans = result.run["acquisition_scans"]
+        acquired = f", acquired in {scans} scan{'s' * (scans != 1)}" if has_track else ""
         if result.is_unknown:
             acquired = f", followed from dwell {overall['confirmed_t']}"
         title = f"target {overall['target']}{acquired}{_outages(overall)}{lost}"
@@ -247,7 +248,12 @@ def _outages(row: dict[str, Any]) -> str:
     """How long its track was out of a target's bin; nothing if it never was, or if that is unknown."""
     if not row["outage"]:
         return ""
-    return f", out of its bin for {row['outage']} dwells, {row['outage_longest']} in a row"
+    dwells, longest = row["outage"], row["outage_longest"]
+    return (
+        f", out of its bin for {dwells} dwells, at most {longest} in a row"
+        if dwells > 1
+        else ", out of its bin for a dwell"
+    )
 
 
 def run_caption(result: Result) -> str:

@@ -46,7 +46,7 @@ SLACK = {"MiB": 8.0, "descriptors": 4.0, "threads": 2.0}
 class Held:
     """What somebody holds of something."""
 
-    who: str
+    process: str
     what: str
     before: float  # median of the middle third of the time,
     after: float  # ... and of the last one
@@ -77,7 +77,7 @@ class Soaked:
     def faults(self) -> list[str]:
         """What is not as it should be."""
         grown = [
-            f"{one.who}: {one.what} {one.before:.1f}, then {one.after:.1f}" for one in self.held if not one.is_flat
+            f"{one.process}: {one.what} {one.before:.1f}, then {one.after:.1f}" for one in self.held if not one.is_flat
         ]
         return grown + self.served.failed
 
@@ -92,7 +92,7 @@ class Soaked:
 def table(found: Soaked) -> Table:
     """A row for all that is held."""
     columns = [
-        Column("who", "{who}", left=True),
+        Column("process", "{process}", left=True),
         Column("holds", "{what}", left=True),
         Column("middle third", "{before:.1f}"),
         Column("last third", "{after:.1f}"),
@@ -113,7 +113,7 @@ def remark(found: Soaked) -> str:
 
 
 class _SomeOnly(Chaos):
-    """Faults of those who need not live through it."""
+    """What ends every process of the run."""
 
     def victim(self, names: Sequence[str], now_s: float) -> str | None:
         return super().victim([name for name in names if name in KILLED], now_s)
@@ -184,12 +184,14 @@ def _sample(processes: dict[str, int], store: Path) -> dict[tuple[str, str], flo
 
 def _held(samples: Sequence[dict[tuple[str, str], float]]) -> list[Held]:
     third, found = len(samples) // 3, list[Held]()
-    for who, what in sorted({key for sample in samples for key in sample}):
-        if who in KILLED or third == 0:
+    for process, what in sorted({key for sample in samples for key in sample}):
+        if process in KILLED or third == 0:
             continue
-        values = [[s[who, what] for s in lot if (who, what) in s] for lot in (samples[third:-third], samples[-third:])]
+        values = [
+            [s[process, what] for s in lot if (process, what) in s] for lot in (samples[third:-third], samples[-third:])
+        ]
         if all(values):
-            found.append(Held(who, what, median(values[0]), median(values[1]), max(map(max, values))))
+            found.append(Held(process, what, median(values[0]), median(values[1]), max(map(max, values))))
     return found
 
 

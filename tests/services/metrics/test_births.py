@@ -191,7 +191,7 @@ def test_the_json_of_a_run_says_when_each_target_was_there_and_found(done: Resul
 
 def test_the_terminal_says_what_was_never_followed(done: Result) -> None:
     assert [table.title for table in run_tables(done)] == [
-        "target 1, followed from dwell 3, out of its bin for 2 dwells, 2 in a row"
+        "target 1, followed from dwell 3, out of its bin for 2 dwells, at most 2 in a row"
     ]
     assert run_caption(done).endswith("\nnever followed: target 2")
 

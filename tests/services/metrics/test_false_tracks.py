@@ -54,7 +54,7 @@ def test_it_is_shown_and_counted(played: tuple[Store, Result]) -> None:
     _, result = played
     assert result.as_json()["false_tracks"] == 1
     false, healthy = (table.title.partition("scans")[2] for table in run_tables(result))
-    assert false == f", out of its bin for {DWELLS} dwells, {DWELLS} in a row  LOST, not tracked"
+    assert false == f", out of its bin for {DWELLS} dwells, at most {DWELLS} in a row  LOST, not tracked"
     assert "LOST" not in healthy
     assert "false tracks: 1" in run_caption(result)
 
