@@ -120,6 +120,14 @@ def level_faults(y: Complexes, noise: NoiseLevels, *, is_alone: bool, by_rows: b
     is_alone : nothing but noise was recorded
     """
     found = []
+    if is_alone and noise.alarms > ALARMS * P_FA * (1.0 + SMALL / y[0].size):  # first: what follows takes all for noise
+        found.append(
+            Finding(
+                f"{100.0 * noise.alarms:.1f} % of the looks are detections, in noise {100.0 * P_FA:g} % would be.",
+                "Record without targets, or say in which direction the target is; of clutter and interference the radar"
+                " detects as much.",
+            )
+        )
     if abs(noise.power_db) > OFF_SCALE_DB:
         found.append(
             Finding(
@@ -157,14 +165,6 @@ def level_faults(y: Complexes, noise: NoiseLevels, *, is_alone: bool, by_rows: b
                 f"Bins {listed(np.flatnonzero(is_loud))} have up to {float(over_db[i]):.0f} dB more noise than the"
                 f" others, most at {float(np.degrees(np.arcsin(2.0 * noise.nus[i]))):.1f} degrees.",
                 "Look for a source of noise or a standing echo in this direction.",
-            )
-        )
-    if is_alone and noise.alarms > ALARMS * P_FA * (1.0 + SMALL / y[0].size):
-        found.append(
-            Finding(
-                f"{100.0 * noise.alarms:.1f} % of the looks exceed a limit for {100.0 * P_FA:g} %: this is not noise"
-                " alone.",
-                "Record without targets; of clutter and interference the radar detects as much.",
             )
         )
     return found

@@ -106,7 +106,7 @@ def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finish
     for m, (table, row) in enumerate(zip(run_tables(finished), finished.targets, strict=True), 1):
         assert_shown_whole([table])
         text = shown(table, 80)
-        assert text.startswith(f"target {m}, acquired in {scans} scans")
+        assert text.startswith(f"target {m}, acquired in {scans} scan")
         assert all(words in text for words in ("1-50", "51-60", "P_D", "RMSE km", "m/s", "in bin", "SNR dB"))
         line = next(line for line in text.splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]

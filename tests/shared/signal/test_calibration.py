@@ -210,7 +210,9 @@ def test_blind_bins_and_interference_are_found(size: tuple[int, int]) -> None:
 
 
 def test_a_target_in_what_should_be_noise_is_said() -> None:
-    assert "this is not noise alone" in said(calibrate(recording((16, 16), BEARING), radar_of(16, 16)))
+    assert "% of the looks are detections, in noise 1 % would be" in said(
+        calibrate(recording((16, 16), BEARING), radar_of(16, 16))
+    )
 
 
 @pytest.mark.parametrize(
