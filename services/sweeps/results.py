@@ -46,7 +46,7 @@ PICTURE_INTERVALS = tuple(
     name + end for name in ("gospa_km", "completeness", "spuriousness") for end in ("", "_low", "_high")
 )
 COUNTED = ("swaps", "false_tracks_per_hour")
-NEES_OF_FLIGHTS = ("nees", "nees_straight", "nees_1_3_g", "nees_over_3_g")  # in the order of FLIGHTS
+NEES_OF_FLIGHTS = ("nees", "nees_straight", "nees_below_1_g", "nees_1_3_g", "nees_over_3_g")  # in the order of FLIGHTS
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 MAX_DRAWN = 2  # axes of a figure
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0

@@ -19,7 +19,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.figures import Figures
 
-Flights = Literal["all", "straight", "1-3 g", "over 3 g"]
+Flights = Literal["all", "straight", "0.1-1 g", "1-3 g", "over 3 g"]
 
 
 class RunRow(Document):

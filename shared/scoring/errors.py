@@ -30,7 +30,13 @@ class Flight(NamedTuple):
 
 
 EVERY = Flight("all", -inf, inf)  # also a dwell of which the acceleration is not known
-FLIGHTS = (EVERY, Flight("straight", 0.0, 0.1), Flight("1-3 g", 1.0, 3.0), Flight("over 3 g", 3.0, inf))
+FLIGHTS = (
+    EVERY,
+    Flight("straight", 0.0, 0.1),
+    Flight("0.1-1 g", 0.1, 1.0),
+    Flight("1-3 g", 1.0, 3.0),
+    Flight("over 3 g", 3.0, inf),
+)
 
 
 @overload

@@ -127,7 +127,7 @@ def test_skies_are_scenarios_of_an_unknown_number(name: str, tmp_path: Path) -> 
 
 def test_a_table_has_medians_and_compares_with_the_better_of_the_others() -> None:
     def score(gospa_km: float, nees: float = float("nan")) -> Score:
-        return Score(gospa_km, 0.1, 0.1, 0.1, 2.0, 1.0, 1.0, 100.0, 30.0, (4.0, nees, float("nan")))
+        return Score(gospa_km, 0.1, 0.1, 0.1, 2.0, 1.0, 1.0, 100.0, 30.0, (4.0, float("nan"), nees, float("nan")))
 
     runs = [
         {OWN: score(0.9), IMM: score(1.0, 5.0), UKF: score(3.0)},

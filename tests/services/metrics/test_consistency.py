@@ -18,7 +18,8 @@ from cogradar.shared.scoring.errors import FLIGHTS
 from cogradar.shared.wire.codec import decode
 
 DWELLS = 24
-TURNS = "world.targets.1.turns=[{from_s = 6.0, to_s = 12.0, g = 2.0}, {from_s = 15.0, to_s = 20.0, g = -5.0}]"
+FLOWN = ((6.0, 12.0, 2.0), (12.0, 14.0, 0.5), (15.0, 20.0, -5.0))  # from and to, s; g
+TURNS = f"world.targets.1.turns=[{', '.join(f'{{from_s = {a}, to_s = {b}, g = {g}}}' for a, b, g in FLOWN)}]"
 WORDS = ("radar.fidelity=best-range", "world.motion.sigma_s_km_s2=0", TURNS)
 UNKNOWN = 'radar.tracks="unknown"'
 G = 9.80665e-3
@@ -63,7 +64,13 @@ def _expected(store: Store) -> list[tuple[int, int, float, float, float, float]]
 def test_rows_are_the_means_of_the_tracks_that_follow(asked: dict[str, str], store: Store) -> None:
     first, last = map(int, asked.get("dwells", f"1:{DWELLS}").split(":"))
     own = [e for e in _expected(store) if first <= e[0] <= last and str(e[1]) == asked.get("target", str(e[1]))]
-    ends = {"all": (-np.inf, np.inf), "straight": (0.0, 0.1), "1-3 g": (1.0, 3.0), "over 3 g": (3.0, np.inf)}
+    ends = {
+        "all": (-np.inf, np.inf),
+        "straight": (0.0, 0.1),
+        "0.1-1 g": (0.1, 1.0),
+        "1-3 g": (1.0, 3.0),
+        "over 3 g": (3.0, np.inf),
+    }
     rows = answer(store, "consistency", asked)
     assert [row["flight"] for row in rows] == list(ends)
     for row in rows:
@@ -88,7 +95,7 @@ def test_a_campaign_s_store_says_the_same(store: Store) -> None:
 
 def test_a_target_that_never_turns_has_no_row_of_turns(store: Store) -> None:
     of_turns = answer(store, "consistency", {"target": "2"})[2:]
-    assert [(row["n"], row["nees"], row["beyond_99"]) for row in of_turns] == 2 * [(0, None, None)]
+    assert [(row["n"], row["nees"], row["beyond_99"]) for row in of_turns] == 3 * [(0, None, None)]
 
 
 def test_the_description_names_the_flights() -> None:

@@ -83,7 +83,7 @@ def test_sums_are_those_of_the_rows(store: Store, first: int | None, last: int |
         assert row["out"] == sum(r["outage"] > 0 for r in own)
         assert row["outage_longest"] == max(r["outage"] for r in own)
         assert row["position"] == pytest.approx(sum(r["square"] for r in own), rel=1e-12)
-        ends = ((-2.0, 99.0), (0.0, 0.1), (1.0, 3.0), (3.0, 99.0))  # -1: it is not known
+        ends = ((-2.0, 99.0), (0.0, 0.1), (0.1, 1.0), (1.0, 3.0), (3.0, 99.0))  # -1: it is not known
         for columns, (low, high) in zip(sums.OF_FLIGHTS, ends, strict=True):
             known = [r for r in own if r["nees"] is not None]
             flown = [r for r in known if low <= (r["acceleration_g"] or -1.0) < high]
