@@ -22,8 +22,9 @@ from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
+from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.queries import Claim, alive
-from cogradar.shared.wire.runner import Answering, Closing, Core, serve
+from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 
@@ -92,7 +93,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         session = open_session(connect.split(","), None, check=check)
         closing.callback(session.close)
         claim = _check_others(service, start, session, check)  # shown until the session is closed
-        bus = ZenohBus(session, service.role, start.name)
+        pool = _joined(service.role, start, core, session, check) if isinstance(core, Sharing) else None
+        bus = ZenohBus(session, service.role, start.name, pool=pool)
         closing.callback(_close, bus)
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
@@ -183,12 +185,27 @@ def _claimed(role: Role, name: str, session: Session, check: Callable[[], None])
         raise
 
 
+def _joined(role: Role, start: Start, core: Sharing, session: Session, check: Callable[[], None]) -> Pool:
+    """The part of a process in the pool of its role and build. Raises BadInput if the others have another front end."""
+    named, begun = (role, start.name, build()), time.monotonic()
+    pool = Pool(session, named, lambda: core.busy, kind=start.front_end, is_spread=start.is_spread)
+    while others := pool.others():
+        if time.monotonic() > begun + HOLDER_WITHIN_S:
+            raise BadInput(f"--front-end: {', '.join(others)} has another one; all of a system have the same")
+        check()
+        time.sleep(HOLDER_POLL_S)
+    pool.join(check)
+    return pool
+
+
 def _exposition(role: Role, core: Core, bus: ZenohBus, validity: Validity) -> Callable[[], bytes]:
     """What the process shows of itself: what its core knows, and what passed."""
     from cogradar.shared.wire.exposition import Exposition
 
     def measures() -> Measures:
-        own = core.measures() if isinstance(core, Measured) else {}
+        own = dict(core.measures()) if isinstance(core, Measured) else {}
+        if bus.pool is not None:
+            own["shards_held"] = len(bus.pool.held)
         dropped = dict.fromkeys((topic.name for topic in topics_read_by(role)), 0) | bus.inbox.bad_of_topic
         return {**bus.meter.measures(), "messages_dropped": dropped, **validity.measures(), **own}
 

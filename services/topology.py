@@ -27,6 +27,11 @@ class Start:
     connect: str = ""  # endpoints of the router; empty: there is none
     check: Callable[[], None] = lambda: None  # raises Interrupted when the process is to end
 
+    @property
+    def is_spread(self) -> bool:
+        """Whether runs may be shared out over several emulators: a receiver is led by one, and the others stand by."""
+        return self.front_end == Start.front_end
+
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
@@ -86,15 +91,21 @@ class Service:
     kernels: bool = False  # runs compiled kernels
     yields: bool = False  # to the other processes, which a run waits for
 
+    def number(self, planners: int, pool: int = 1) -> int:
+        """How many of them there are, with so many planners and so many processes of each other role that is a pool."""
+        if not self.scalable:
+            return 1
+        return planners if self.role is Role.PLANNER else pool
+
 
 # What a run needs.
 TOPOLOGY = (
     Service(Role.ROUTER, None),
     Service(Role.RECORDER, _recorder),
     Service(Role.METRICS, _metrics, yields=True),
-    Service(Role.EMULATOR, _emulator, kernels=True),
+    Service(Role.EMULATOR, _emulator, scalable=True, kernels=True),
     Service(Role.PLANNER, _planner, scalable=True, kernels=True),
-    Service(Role.ALLOCATOR, _allocator, kernels=True),
+    Service(Role.ALLOCATOR, _allocator, scalable=True, kernels=True),
 )
 
 OPERATOR = Service(Role.OPERATOR, _operator)  # begins runs of its own; any other run does without it

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from cogradar.shared.protocol.topics import ALIVE, CLAIM, KINDS, QUERYABLES, TOPICS, Role, Topic
+from cogradar.shared.protocol.topics import ALIVE, CLAIM, KINDS, QUERYABLES, SHARE, TOPICS, Role, Topic
 from cogradar.shared.wire.contract.json_schema import Schema, described
 from docs.generator.markdown import code, prose, table
 
@@ -40,6 +40,7 @@ def keys() -> str:
     rows = [
         (code(ALIVE), "liveliness token of a process"),
         (code(CLAIM), "liveliness token of a process that wants to be the only one of its role"),
+        (code(SHARE), "liveliness token of a process of a pool, for each shard of the runs that it serves"),
         *((code(queryable.key), f"queryable: {queryable.meaning}") for queryable in QUERYABLES),
     ]
     return table(("key", "what it is"), rows)

@@ -96,12 +96,19 @@ class AllocatorCore:
         """Whether a tick must tell the time from which a waveform is due, or the recorder lacks something."""
         return any(run.wait_s is not None or run.resend.is_asked for run in self._runs.values())
 
+    @property
+    def busy(self) -> frozenset[int]:
+        """Shards with runs."""
+        return self._inactivity.busy
+
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
         for name in self._inactivity.after(event):
             self._runs.pop(name, None)
             self._refused.pop(name, None)
         match event:
+            case _ if self._inactivity.is_elsewhere(event):
+                pass
             case Checkpoint(ended=True):
                 self._refused.pop(event.run, None)
                 self._runs.pop(event.run, None)

@@ -234,6 +234,7 @@ def chaos(
     dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Dwells of each run.")] = 1000,
     settings: SetOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
+    pool: Annotated[int, typer.Option(min=1, max=16, help="Emulators, and allocators.")] = 1,
     kills: Annotated[
         float, typer.Option(min=0.001, max=MAX_KILLS, metavar="PER_MINUTE", help="Processes killed per minute.")
     ] = 20.0,
@@ -251,7 +252,9 @@ def chaos(
     from cogradar.services import kernels
     from cogradar.services.cli.display import RunDisplay
     from cogradar.services.runs.chaos import all_together, trial, trial_in_real_time
+    from cogradar.services.runs.launcher import LocalProcesses
 
+    given = LocalProcesses(planners, pool=pool)
     killed, failed, seen = 0, 0, []
     with command() as stop:
         loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
@@ -261,11 +264,11 @@ def chaos(
             for seed in range(1, runs + 1):
                 start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells, rate_hz)
                 if rate_hz > 0.0:
-                    seen.append(trial_in_real_time(start, planners, kills, report=display.report, stop=stop))
+                    seen.append(trial_in_real_time(start, given, kills, report=display.report, stop=stop))
                     failed += not seen[-1].holds
                     display.notify(f"seed {seed}: {seen[-1]}")
                     continue
-                tried = trial(start, planners, kills, report=display.report, stop=stop)
+                tried = trial(start, given, kills, report=display.report, stop=stop)
                 killed, failed = killed + tried.killed, failed + (not tried.same)
                 verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
                 display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")

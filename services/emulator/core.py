@@ -109,11 +109,18 @@ class EmulatorCore:
         """Whether a run in real time waits for the tick of its first dwell, or the recorder for what it lacks."""
         return any((run.is_ticking and run.due_s is None) or run.resend.is_asked for run in self._runs.values())
 
+    @property
+    def busy(self) -> frozenset[int]:
+        """Shards with runs."""
+        return self._inactivity.busy
+
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or send again what was lost."""
         for name in self._inactivity.after(event):
             self._forget(name)
         match event:
+            case _ if self._inactivity.is_elsewhere(event):
+                pass
             case EmulatorCheckpoint(ended=True):
                 self._forget(event.run)
                 self._pending.forget(event.run)
@@ -132,8 +139,6 @@ class EmulatorCore:
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
                 self._inactivity.note(answers)  # in real time the radar goes on, though no other process is left
                 return answers + [m for run in self._runs.values() for m in run.resend.again(drained=event.drained)]
-            case _:
-                pass
         return ()
 
     def prepare(self) -> bool:

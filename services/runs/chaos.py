@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
@@ -59,7 +59,7 @@ class Trial:
 
 
 def trial(
-    start: RunStart, planners: int, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
+    start: RunStart, given: LocalProcesses, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
 ) -> Trial:
     """Play a run undisturbed in this process, and under faults over Zenoh: `rate` kills a minute.
 
@@ -67,8 +67,7 @@ def trial(
     """
     expected = in_process.play(start, stop=stop).run["digest"]
     began, chaos = time.monotonic(), Chaos(rate, start.seed)
-    processes = LocalProcesses(planners, faults=chaos)
-    result = distributed.play(start, processes, report=report, notify=lambda _: None, stop=stop)
+    result = distributed.play(start, replace(given, faults=chaos), report=report, notify=lambda _: None, stop=stop)
     return Trial(start.seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)
 
 
@@ -113,7 +112,7 @@ def all_together(seen: Sequence[RealTimeTrial]) -> str:
 
 
 def trial_in_real_time(
-    start: RunStart, planners: int, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
+    start: RunStart, given: LocalProcesses, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
 ) -> RealTimeTrial:
     """Play a run in real time under faults, `rate` kills a minute, and see what became of its tracks.
 
@@ -123,9 +122,8 @@ def trial_in_real_time(
     chaos = Chaos(rate, start.seed)
     with scratch() as folder:
         path = f"{folder}/runs.db"
-        played = distributed.play(
-            start, LocalProcesses(planners, path, chaos), report=report, notify=lambda _: None, stop=stop
-        )
+        given = replace(given, store=path, faults=chaos)
+        played = distributed.play(start, given, report=report, notify=lambda _: None, stop=stop)
         with closing(Journal(path, read_only=True)) as journal:
             found = continuity(journal, start, played.picture.get("completeness"))
     return RealTimeTrial(start.seed, chaos.victims, found, alone.picture.get("completeness"))

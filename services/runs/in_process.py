@@ -110,7 +110,7 @@ def _endpoints(
     foresight = Foresight(start, as_told.front_end) if knows_truth else None
     endpoints = []
     for service in TOPOLOGY:
-        for i in range(planners if service.scalable else 1):
+        for i in range(service.number(planners)):
             if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
                 name = f"{service.role}-{i}"
                 is_recorder = service.role is Role.RECORDER

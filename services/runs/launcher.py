@@ -45,6 +45,7 @@ class LocalProcesses:
     faults: Faults | None = None
     front_end: str = Start.front_end
     http: str = ""  # where metrics serves (`listen` of web.address)
+    pool: int = 1  # emulators, and allocators
 
 
 def scratch() -> tempfile.TemporaryDirectory[str]:
@@ -107,7 +108,7 @@ class Launcher:
     def __enter__(self) -> Self:
         try:
             for service in TOPOLOGY:
-                for i in range(self._given.planners if service.scalable else 1):
+                for i in range(service.number(self._given.planners, self._given.pool)):
                     name = f"{service.role}-{i}"
                     self._roles[name] = service.role
                     self._start(name)

@@ -14,6 +14,13 @@ class Membership:
 
 
 @dataclass(frozen=True)
+class Shards:
+    """Which shards of the runs this process serves from now on; from liveliness tokens, never on the wire."""
+
+    held: frozenset[int]
+
+
+@dataclass(frozen=True)
 class Tick:
     """A moment has passed; from the runner's clock, never on the wire."""
 
@@ -21,4 +28,4 @@ class Tick:
     drained: bool = True  # no message has waited at some time since the last one: silence is the others' silence
 
 
-Event = Message | Membership | Tick
+Event = Message | Membership | Shards | Tick

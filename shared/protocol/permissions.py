@@ -12,6 +12,7 @@ from cogradar.shared.protocol.topics import (
     EXPOSITION,
     FRONT_END,
     QUERY,
+    SHARE,
     TIMESTAMPS,
     TOPICS,
     Role,
@@ -75,8 +76,8 @@ def permitted(holder: str, limit: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]
         Act.ASK: tuple(expression(key) for key in _ASKED.get(holder, ())),
         Act.HEAR: tuple(expression(key) for key in own),
         Act.ANSWER: tuple(expression(key, holder, limited) for key in own),
-        Act.SHOW: tuple(expression(key, holder, limited) for key in (ALIVE, CLAIM)) if is_process else (),
-        Act.SEE: (expression(ALIVE), expression(CLAIM)),
+        Act.SHOW: tuple(expression(key, holder, limited) for key in (ALIVE, CLAIM, SHARE)) if is_process else (),
+        Act.SEE: tuple(expression(key) for key in (ALIVE, CLAIM, SHARE)),
     }
     return {act: keys for act, keys in found.items() if keys}
 

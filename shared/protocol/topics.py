@@ -6,6 +6,7 @@ asks for results need only speak the same protocol.
 """
 
 import re
+import zlib
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
@@ -190,6 +191,7 @@ PARTS_OF_KEYS = {
     "role": "of the process",
     "name": "of the process, or of the front end",
     "moment": "when the process began, nanoseconds since 1970, and eight random hexadecimal digits",
+    "shard": "0 to 15, CRC-32 of the run's name modulo 16; or any-KIND: the process is there, with a front end of KIND",
     "metric": "what is asked for, such as runs; its parameters follow the key, NAME=VALUE;NAME=VALUE",
 }
 
@@ -232,6 +234,8 @@ EXCHANGES = (OPENING, DWELL)
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
 # Liveliness token of a process that wants to be the only one of its role: of several the lowest moment, in text, stays.
 CLAIM = "cogradar/claim/{protocol}/{role}/{moment}/{name}"
+# Liveliness tokens of a process of a pool: one for each shard that it claims, and one that says that it is there.
+SHARE = "cogradar/share/{protocol}/{build}/{role}/{shard}/{moment}/{name}"
 QUERY = f"{_ROOT}/query/{{metric}}"
 TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"
 EXPOSITION = f"{_ROOT}/exposition/{{role}}/{{name}}"
@@ -249,6 +253,21 @@ KINDS = (*BY_MESSAGE, *(kind for one in EXCHANGES for kind in (one.question, one
 def topics_read_by(role: Role) -> tuple[Topic, ...]:
     """Topics this role subscribes to."""
     return tuple(topic for topic in TOPICS if role in topic.readers)
+
+
+N_SHARD = 16  # over which the processes of a pool share the runs
+ALL_SHARDS = frozenset(range(N_SHARD))
+
+
+def shard_of(run: str) -> int:
+    """The shard of a run: the CRC-32 of its name modulo 16."""
+    return zlib.crc32(run.encode()) % N_SHARD
+
+
+def run_on(key: str) -> str:
+    """The run that a key of a radar's process names; "": none."""
+    chunks = key.split("/")
+    return chunks[4] if len(chunks) > 4 and chunks[3] == "run" else ""
 
 
 def is_for(message: Message, role: Role, name: str) -> bool:

@@ -70,6 +70,9 @@ METRICS = {
         roles="allocator",
     ),
     "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs.", roles="planner"),
+    "shards_held": Meaning(
+        GaugeMetricFamily, "Of 16 shards of the runs, those that this process serves.", roles="emulator, allocator"
+    ),
     "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal.", roles="recorder"),
     "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable.", roles="recorder"),
     "certificate_days": Meaning(

@@ -59,6 +59,15 @@ class Preparing(Protocol):
 
 
 @runtime_checkable
+class Sharing(Protocol):
+    """A core that is told which shards of the runs it serves, and drops all other runs."""
+
+    @property
+    def busy(self) -> frozenset[int]:
+        """Shards with runs."""
+
+
+@runtime_checkable
 class Closing(Protocol):
     """A core that holds something to be put away at the end."""
 

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import zenoh
 
 from cogradar.shared.protocol.build import build
-from cogradar.shared.protocol.events import Event, Membership
+from cogradar.shared.protocol.events import Event, Membership, Shards
 from cogradar.shared.protocol.messages import Message
 from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
 from cogradar.shared.protocol.topics import (
@@ -35,6 +35,7 @@ from cogradar.shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, I
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, WHOLE, Parts, encode, join
 from cogradar.shared.wire.membership import LiveNames
 from cogradar.shared.wire.meter import Meter
+from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.queries import ENCODINGS, REFUSAL, Alive, Answer, alive, names_alive, parameters, reply
 from cogradar.shared.wire.timestamps import Timestamps
 
@@ -80,8 +81,12 @@ class ZenohBus:
     The transport's threads only put items into a queue. The thread that calls `receive` handles them.
     """
 
-    def __init__(self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True) -> None:
+    def __init__(
+        self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True, pool: Pool | None = None
+    ) -> None:
         """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks.
+
+        pool : whose runs it hears; None: all
 
         An operator hears every build; the others hear their own only, and whatever an operator says.
         """
@@ -90,7 +95,7 @@ class ZenohBus:
         heard = None if role is Role.OPERATOR else self.build
         self.inbox = Inbox(heard)
         self.timestamps, self.meter = Timestamps(), Meter(role)
-        self._session = session
+        self._session, self.pool = session, pool
         self._queue: Arrivals[_Payload | _TooLong | _Token | _Query | Membership] = Arrivals()
         self._decoded: deque[tuple[Message, float]] = deque()  # rest of a lot, and when it arrived
         self._declared: list[Any] = []
@@ -151,7 +156,9 @@ class ZenohBus:
             self.inbox.drop(name, f"{MAX_WAITING} payloads or {MAX_WAITING_BYTES} bytes wait already", n)
         deadline = time.monotonic() + timeout_s
         while True:
-            event = self._expired() or self._next(deadline)
+            event = self._shards() or self._expired() or self._next(deadline)
+            if self.pool is not None and self.pool.has_paused():
+                continue  # nothing of its runs is to be handled, nor is a tick: what is dropped is sent again
             if event is not None or time.monotonic() >= deadline:
                 return event
 
@@ -198,6 +205,8 @@ class ZenohBus:
         if self._session.is_closed():
             return
         self._token.undeclare()
+        if self.pool is not None:
+            self.pool.close()
         for declared in self._declared:
             declared.undeclare()
         self._session.close()
@@ -207,6 +216,8 @@ class ZenohBus:
 
         def on_sample(sample: zenoh.Sample) -> None:
             key, n_byte = str(sample.key_expr), len(sample.payload)
+            if self.pool is not None and not self.pool.serves(key):
+                return
             is_long = n_byte > MAX_BYTES  # what is too long, or has no room, is not copied
             waits = len(key) + (0 if is_long else n_byte)
             if self._queue.admit(name, waits, topic.gives_way):
@@ -269,6 +280,10 @@ class ZenohBus:
         self.timestamps.receive(message, arrived, taken)
         self.meter.take(message, arrived)
         return message
+
+    def _shards(self) -> Shards | None:
+        held = None if self.pool is None else self.pool.news()
+        return None if held is None else Shards(held)
 
     def _expired(self) -> Membership | None:
         if not self._planners.absent:

@@ -115,18 +115,3 @@ def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_pa
         _ends_itself(launcher, "recorder-0", f"recorder-1 has {store} with epoch {now}, this")
         assert readers.next().epoch == now
         readers.end()
-
-
-@pytest.mark.nightly
-@pytest.mark.zenoh
-@pytest.mark.parametrize("role", [Role.ALLOCATOR, Role.EMULATOR])
-def test_so_does_one_that_transmits_or_allocates(role: Role, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        launcher, readers = stack.enter_context(_run_that_goes_on(tmp_path / "runs.db"))
-        launcher.signal(f"{role}-0", signal.SIGSTOP)
-        stack.enter_context(_successor(launcher, role))
-        k = readers.next().k
-        while readers.next().k <= k + 16:
-            pass
-        _ends_itself(launcher, f"{role}-0", f"{role}-1 is {role} now: this process was frozen or cut off while")
-        readers.end()

@@ -53,7 +53,7 @@ def _enter(role: Role, session: Session) -> None:
     process._check_others(SERVICES[role], Start("newcomer"), session, lambda: None)
 
 
-@pytest.mark.parametrize("role", [Role.RECORDER, Role.EMULATOR, Role.ALLOCATOR, Role.METRICS])
+@pytest.mark.parametrize("role", [Role.RECORDER, Role.METRICS])
 def test_a_second_one_is_refused_and_told_who_is_there(
     role: Role, router: str, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,16 +98,16 @@ def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytes
 def test_a_clock_that_is_behind_takes_no_role(router: str, session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one that was first has its claim, and does not show itself alive yet."""
     monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.5)
-    claim = process._check_others(SERVICES[Role.ALLOCATOR], Start("first"), session, lambda: None)
+    claim = process._check_others(SERVICES[Role.METRICS], Start("first"), session, lambda: None)
     monkeypatch.setattr(time, "time_ns", lambda: 0)
     with (
         open_session([router], 10.0, lambda: None) as other,
-        pytest.raises(BadInput, match=r"^another allocator is there already: first; stop"),
+        pytest.raises(BadInput, match=r"^another metrics is there already: first; stop"),
     ):
-        _enter(Role.ALLOCATOR, other)
+        _enter(Role.METRICS, other)
     assert claim is not None
     claim.drop()
-    _enter(Role.ALLOCATOR, session)
+    _enter(Role.METRICS, session)
 
 
 def _is_seen(router: str) -> bool:
@@ -115,8 +115,8 @@ def _is_seen(router: str) -> bool:
         return bool(alive(session, build()).names)
 
 
-def test_planners_and_operators_may_be_many(router: str, session: Session) -> None:
-    for role in (Role.PLANNER, Role.OPERATOR):
+def test_others_may_be_many(router: str, session: Session) -> None:
+    for role in (Role.PLANNER, Role.EMULATOR, Role.ALLOCATOR, Role.OPERATOR):
         with _seen(router, role, "first"):
             _enter(role, session)
 

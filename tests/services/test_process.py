@@ -50,7 +50,7 @@ def test_a_service_says_at_its_end_what_it_dropped(
 ) -> None:
     buses: list[FakeBus] = []
 
-    def bus(*_: Any) -> FakeBus:
+    def bus(*_: Any, **__: Any) -> FakeBus:
         buses.append(FakeBus())
         return buses[-1]
 

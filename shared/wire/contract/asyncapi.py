@@ -11,6 +11,7 @@ from cogradar.shared.protocol.topics import (
     PARTS_OF_KEYS,
     PROTOCOL,
     QUERYABLES,
+    SHARE,
     TOPICS,
     Exchange,
     Queryable,
@@ -30,6 +31,10 @@ TOKENS = {
     "claim": (
         CLAIM,
         "Liveliness token of a process that wants to be the only one of its role. The lowest moment stays.",
+    ),
+    "share": (
+        SHARE,
+        "Liveliness token of a process of a pool, for each shard that it serves. The lowest moment of a shard stays.",
     ),
 }
 

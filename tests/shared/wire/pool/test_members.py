@@ -1,0 +1,96 @@
+"""A pool over real tokens: who is there, who is gone, and who was away."""
+
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from cogradar.shared.protocol.topics import ALL_SHARDS, Role, shard_of
+from cogradar.shared.wire.pool import members
+from cogradar.shared.wire.pool.members import Pool
+from cogradar.shared.wire.session import open_session
+
+WITHIN_S = 10.0
+
+pytestmark = pytest.mark.zenoh
+
+
+class _Process:
+    def __init__(self, router: str, name: str, kind: str = "", build: str = "1f3a") -> None:
+        self.session = open_session([router], WITHIN_S, lambda: None)
+        self.busy: Collection[int] = ()
+        self.pool = Pool(self.session, (Role.EMULATOR, name, build), lambda: self.busy, kind=kind)
+
+
+@pytest.fixture
+def start(router: str) -> Iterator[Callable[..., _Process]]:
+    with ExitStack() as stack:
+
+        def begin(*args: str) -> _Process:
+            process = _Process(router, *args)
+            stack.callback(process.session.close)
+            process.pool.join(lambda: None)
+            return process
+
+        yield begin
+
+
+def _until(processes: Collection[_Process], holds: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + WITHIN_S
+    while not holds():
+        assert time.monotonic() < until_s, [sorted(one.pool.held) for one in processes]
+        for process in processes:
+            process.pool.news()
+        time.sleep(0.01)
+
+
+def _share(processes: Collection[_Process], *parts: int) -> None:
+    def is_shared() -> bool:
+        held = [one.pool.held for one in processes]
+        is_whole = frozenset().union(*held) == ALL_SHARDS and sum(map(len, held)) == len(ALL_SHARDS)
+        return is_whole and [len(one) for one in held] == list(parts)
+
+    _until(processes, is_shared)
+
+
+def test_shards_are_shared_and_taken_over(start: Callable[..., _Process]) -> None:
+    first = start("a")
+    assert first.pool.held == ALL_SHARDS
+    assert first.pool.news() == ALL_SHARDS
+    assert first.pool.news() is None
+    other_build = start("x", "", "2e4b")
+    assert other_build.pool.held == ALL_SHARDS
+    second = start("a")  # a name is no identity
+    _share([first, second], 8, 8)
+    assert first.pool.serves("cogradar/9/1f3a/run/r/scan") is (shard_of("r") in first.pool.held)
+    first.session.close()  # as when it is killed
+    _share([second], 16)
+
+
+def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
+    assert start("a").pool.others() == []
+    assert start("b", "zenoh:roof").pool.others() == ["a"]
+    assert start("c", "zenoh:roof", "2e4b").pool.others() == []
+
+
+def test_one_that_was_frozen_serves_nothing_when_it_goes_on(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = start("a"), start("b")
+    _share([first, second], 8, 8)
+    first.pool._withdraw(list(first.pool._shown))  # as the router does when a lease is over
+    _share([second], 16)
+    monkeypatch.setattr(members, "PAUSE_S", 0.0)
+    assert first.pool.has_paused()
+    assert first.pool.news() == frozenset()
+
+
+def test_one_that_was_only_busy_keeps_what_it_serves(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = start("a"), start("b")
+    _share([first, second], 8, 8)
+    monkeypatch.setattr(members, "PAUSE_S", 0.0)
+    assert not first.pool.has_paused()
+    assert len(first.pool.held) == 8
