@@ -19,7 +19,9 @@ from cogradar.shared.world.disturbance import power_spectrum
 
 Floats = NDArray[np.float64]
 
-_SCORES = "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+_SCORES = (
+    "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, nees"
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class StrategyRuns:
     signature_power: Floats  # (n, T, M) ||v||^2 of the cell of the true bin; 0 if it was not tested
     truth: Floats  # (n, T, M, 4)
     estimate: Floats  # (n, T, M, 4)
+    nees: Floats  # (n, T, M); NaN: there was no track or no target
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,7 @@ def _read_runs(store: Store, experiment: Experiment, strategy: str) -> StrategyR
         signature_power=table[..., 4],
         truth=table[..., 5:9],
         estimate=table[..., 9:13],
+        nees=table[..., 13],
     )
 
 

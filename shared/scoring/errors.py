@@ -197,18 +197,25 @@ def lost(outages: ArrayLike) -> NDArray[np.bool_]:
 
 
 def nees_in_band(values: ArrayLike) -> Floats:
-    """Share of dwells in which the mean NEES over runs lies in its 95 % band.
-
-        chi2_{4n}(.025)/n <= mean <= chi2_{4n}(.975)/n,   n runs     (Bar-Shalom et al. 2001, section 5.4)
+    """Share of dwells in which the mean NEES over runs lies in `nees_band`.
 
     values  : (n_run, T, ...), NaN: unknown
     returns : (...); .95 of an honest belief
     """
-    from scipy.special import chdtri  # not loaded by those who ask for other scores
-
     found = np.asarray(values, dtype=np.float64)
     is_known = ~np.isnan(found)
     n = np.maximum(is_known.sum(axis=0), 1)
     mean = np.where(is_known, found, 0.0).sum(axis=0) / n
-    # chdtri is the inverse of the upper tail
-    return np.asarray(((mean >= chdtri(4.0 * n, 0.975) / n) & (mean <= chdtri(4.0 * n, 0.025) / n)).mean(axis=0))
+    low, high = nees_band(n)
+    return np.asarray(((mean >= low) & (mean <= high)).mean(axis=0))
+
+
+def nees_band(n: ArrayLike) -> tuple[Floats, Floats]:
+    """The 95 % band of the mean NEES over n runs, if their beliefs are what they claim to be; (...) -> (...), (...).
+
+    chi2_{4n}(.025)/n <= mean <= chi2_{4n}(.975)/n                 (Bar-Shalom et al. 2001, section 5.4)
+    """
+    from scipy.special import chdtri  # the inverse of the upper tail; not loaded for other scores
+
+    n = np.asarray(n, dtype=np.float64)
+    return np.asarray(chdtri(4.0 * n, 0.975) / n), np.asarray(chdtri(4.0 * n, 0.025) / n)

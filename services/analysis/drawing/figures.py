@@ -1,4 +1,4 @@
-"""The figures of a store: the paper's accuracy against time, beampatterns, tracks; power shares; GOSPA."""
+"""The figures of a store: the paper's accuracy against time, beampatterns, tracks; power shares; GOSPA; theory."""
 
 import textwrap
 from collections.abc import Callable
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cogradar.services.analysis.drawing.gospa import gospa
 from cogradar.services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
+from cogradar.services.analysis.drawing.theory import consistency, detection
 from cogradar.services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
 from cogradar.services.metrics.experiments import Experiment
 from cogradar.services.metrics.recording import snapshots
@@ -55,6 +56,8 @@ def draw_all(
     if Strategy.POWER_AWARE in results.runs:
         drawings["power"] = lambda: power_shares(results)
     drawings["gospa"] = lambda: gospa(store, results)
+    drawings["detection"] = lambda: detection(results)
+    drawings["consistency"] = lambda: consistency(results)
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     with mpl.rc_context(STYLE):

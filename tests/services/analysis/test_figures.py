@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from cogradar.services.analysis.drawing import figures
+from cogradar.services.analysis.drawing import figures, theory
 from cogradar.services.analysis.drawing.gospa import gospa
 from cogradar.services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
 from cogradar.services.analysis.results import Results, StrategyRuns, read_results, read_snapshots, running_mean
@@ -29,9 +29,14 @@ from cogradar.services.runs import in_process
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.errors import nees_band
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.receiver import detection_probability, threshold
+from cogradar.shared.world.disturbance import power_spectrum
 
 DWELLS = 8
 SEEDS = (3, 4)
+WITHOUT_WAVEFORMS = {"accuracy", "tracks", "power", "gospa", "detection", "consistency"}
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +172,58 @@ def test_tracks_show_as_many_runs_as_there_are(results: Results) -> None:
     assert truth.get_xdata() == pytest.approx(results.runs[Strategy.POWER_AWARE].truth[0, :, 1, 0])
 
 
+def test_detections_are_counted_where_the_law_of_the_test_says(results: Results) -> None:
+    """Each mark is of the looks of a decibel; the curve is the closed form."""
+    axes = theory.detection(_often(results, 0.75)).axes[0]
+    marks = [line for line in axes.lines if line.get_marker() == "o"]
+    assert marks
+    for mark in marks:
+        assert np.asarray(mark.get_ydata()) == pytest.approx(0.75, abs=0.03)
+        assert np.asarray(mark.get_xdata()) == pytest.approx(15.0)
+    (curve,) = (line for line in axes.lines if line.get_color() == INK)
+    zeta = 2.0 * 10.0 ** (np.asarray(curve.get_xdata()) / 10.0)
+    expected = detection_probability(zeta, threshold(results.scenario.radar.detector.p_fa))
+    assert np.asarray(curve.get_ydata()) == pytest.approx(expected)
+
+
+def _often(results: Results, share: float) -> Results:
+    """The same with looks of 15 dB at the output, of which such a share are detections."""
+    array, middle = results.scenario.radar.array, results.scenario.radar.array.n_bin // 2
+    spectrum = power_spectrum(results.scenario.simulated.disturbance.model, bin_centres(array.n_bin))[middle]
+
+    def looked(runs: StrategyRuns) -> StrategyRuns:
+        shape, n = runs.detected.shape, runs.detected.size
+        detected = (np.arange(n) < share * n).astype(np.float64)
+        power = np.full(shape, 10.0**1.5 * float(spectrum))
+        return replace(
+            runs,
+            detected=detected.reshape(shape),
+            snr_db=np.zeros(shape),
+            signature_power=power,
+            true_bin=np.full(shape, middle),
+        )
+
+    return replace(results, runs={strategy: looked(runs) for strategy, runs in results.runs.items()})
+
+
+def test_errors_are_within_the_band_of_an_honest_belief(results: Results) -> None:
+    """Of chi-square values with four degrees of freedom, 95 % of the means are between the ends of the band."""
+    rng = np.random.default_rng(1)
+
+    def honest(runs: StrategyRuns) -> StrategyRuns:
+        return replace(runs, nees=rng.chisquare(4.0, runs.nees.shape))
+
+    drawn = theory.consistency(replace(results, runs={s: honest(runs) for s, runs in results.runs.items()}))
+    for axes in drawn.axes:
+        (band,) = axes.collections
+        path = band.get_paths()[0].vertices
+        low, high = path[:, 1].min(), path[:, 1].max()
+        means = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines[1:]])
+        assert (low, high) == pytest.approx(tuple(map(float, nees_band(len(SEEDS)))))
+        assert ((means >= low) & (means <= high)).mean() > 0.8
+        assert means.size == DWELLS * results.scenario.n_target
+
+
 def test_power_shares_add_up(results: Results) -> None:
     figure = figures.power_shares(results)
     means = [
@@ -188,7 +245,7 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
     for folder in ("one", "two"):
         done = CliRunner().invoke(cli.app, ["figures", str(file), "--out", str(tmp_path / folder)])
         assert done.exit_code == 0, done.output
-    names = {f"{n}.{s}" for n in ("accuracy", "beampatterns", "tracks", "power", "gospa") for s in ("png", "pdf")}
+    names = {f"{n}.{s}" for n in (*WITHOUT_WAVEFORMS, "beampatterns") for s in ("png", "pdf")}
     assert {path.name for path in (tmp_path / "one").iterdir()} == names
     for name in names:
         data = (tmp_path / "one" / name).read_bytes()
@@ -207,7 +264,7 @@ def test_experiments_have_a_folder_each_and_can_be_chosen(file: Path, tmp_path: 
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["smoke-3", f"smoke-{DWELLS}"]
     chosen = CliRunner().invoke(cli.app, ["figures", str(mixed), "--seed", "1", "--out", str(tmp_path / "one")])
     assert chosen.exit_code == 0, chosen.output
-    assert {path.stem for path in (tmp_path / "one").iterdir()} == {"accuracy", "beampatterns", "gospa", "tracks"}
+    assert {path.stem for path in (tmp_path / "one").iterdir()} == {*WITHOUT_WAVEFORMS, "beampatterns"} - {"power"}
     for command in ("figures", "report"):
         for wrong, words in ((["--seed", "77"], "seed = 77"), (["--run", "nobody"], "run = nobody")):
             refused = CliRunner().invoke(cli.app, [command, str(mixed), *wrong])
@@ -290,6 +347,8 @@ def test_nothing_is_cropped_and_no_look_is_used_twice(n_target: int, results: Re
             "tracks": figures.tracks(many),
             "tracks of one run": figures.tracks(single),
             "power": figures.power_shares(many),
+            "detection": theory.detection(many),
+            "consistency": theory.consistency(many),
         }
         for name, figure in drawn.items():
             FigureCanvasAgg(figure).draw()
@@ -318,5 +377,5 @@ def test_without_waveforms_the_rest_is_drawn(store: Store, tmp_path: Path) -> No
         assert recording is not None
         bare.journal.add_recording(replace(recording, messages=[]), place)
     files = figures.draw_all(bare, _experiment(bare), tmp_path / "out", said.append)
-    assert {path.stem for path in files} == {"accuracy", "tracks", "power", "gospa"}
+    assert {path.stem for path in files} == WITHOUT_WAVEFORMS
     assert "campaign" in said[0]

@@ -1,0 +1,110 @@
+"""Figures of runs beside what theory says: detections against the law of the test, errors against their covariance."""
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from cogradar.services.analysis.drawing.looks import FAINT, INK, looks, target_looks
+from cogradar.services.analysis.results import Results
+from cogradar.shared.scoring.errors import nees_band, wilson_interval
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.receiver import detection_probability, noncentrality, threshold
+from cogradar.shared.world.disturbance import power_spectrum
+
+Floats = NDArray[np.float64]
+
+FEWEST = 20  # looks of which a share is drawn
+STEP_DB = 1.0
+NEES = 4.0  # mean of an honest belief of four dimensions
+
+
+def detection(results: Results) -> Figure:
+    """Share of looks that were detections against the SNR at the test's output, zeta / 2, beside the closed form.
+
+    The marks are over the looks within STEP_DB of all runs of a strategy, with Wilson's interval: the disturbance of a
+    look is independent of all others. The curve holds for an echo from the centre of its cell.
+    """
+    radar, world = results.scenario.radar, results.scenario.simulated
+    limit = threshold(radar.detector.p_fa)
+    figure = Figure(figsize=(5.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for strategy, look in looks(list(results.runs)).items():
+        snr_db, detected = _tested(results, strategy)
+        step = np.floor(snr_db / STEP_DB)
+        for at in np.unique(step):
+            mine = detected[step == at]
+            if mine.size >= FEWEST:
+                low, high = wilson_interval(int(mine.sum()), mine.size)
+                middle = float(snr_db[step == at].mean())
+                axes.plot([middle, middle], [low, high], color=look.colour, linewidth=1.0)
+                axes.plot(middle, mine.mean(), "o", color=look.colour, markersize=3.5)
+    curve = np.linspace(*axes.get_xlim(), 200)
+    laws = sorted({target.rcs or world.rcs for target in world.targets})
+    for law, line in zip(laws, ("-", "--", ":"), strict=False):
+        p_d = detection_probability(2.0 * 10.0 ** (curve / 10.0), limit, law)
+        axes.plot(curve, p_d, color=INK, linewidth=0.9, linestyle=line, zorder=1)
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_xlabel("SNR at the output of the test, dB")
+    axes.set_ylabel("share detected, $P_D$")
+    handles = [
+        Line2D([], [], color=look.colour, marker="o", markersize=3.5, label=strategy)
+        for strategy, look in looks(list(results.runs)).items()
+    ]
+    handles += [
+        Line2D(
+            [],
+            [],
+            color=INK,
+            linewidth=0.9,
+            linestyle=line,
+            label=f"theory, {law} RCS, $P_{{FA}}$ = {radar.detector.p_fa:g}",
+        )
+        for law, line in zip(laws, ("-", "--", ":"), strict=False)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
+    return figure
+
+
+def _tested(results: Results, strategy: str) -> tuple[Floats, Floats]:
+    """SNR in dB and outcome, 0 or 1, of each look at the cell that held its target."""
+    runs, array = results.runs[strategy], results.scenario.radar.array
+    spectrum = power_spectrum(results.scenario.simulated.disturbance.model, bin_centres(array.n_bin))
+    is_tested = (runs.signature_power > 0.0) & (runs.true_bin >= 0) & ~np.isnan(runs.detected)
+    zeta = noncentrality(
+        10.0 ** (runs.snr_db[is_tested] / 10.0), runs.signature_power[is_tested], spectrum[runs.true_bin[is_tested]]
+    )
+    return 10.0 * np.log10(0.5 * zeta), runs.detected[is_tested]
+
+
+def consistency(results: Results) -> Figure:
+    """NEES of each target against time, the mean over runs, a panel a strategy, beside its 95 % band."""
+    drawn, n_target = looks(list(results.runs)), results.scenario.n_target
+    figure = Figure(figsize=(7.2, 0.9 + 1.7 * len(drawn)), layout="constrained")
+    panels = figure.subplots(len(drawn), 1, sharex=True, squeeze=False)[:, 0]
+    targets = target_looks(n_target)
+    for axes, strategy in zip(panels, drawn, strict=True):
+        nees = results.runs[strategy].nees
+        known = (~np.isnan(nees)).sum(axis=0)  # (T, M)
+        with np.errstate(invalid="ignore"):  # 0/0: no track
+            means = np.nansum(nees, axis=0) / known
+        low, high = nees_band(np.maximum(known.max(axis=1), 1))
+        axes.fill_between(results.t, low, high, color=FAINT, alpha=0.25, linewidth=0)
+        axes.axhline(NEES, color=INK, linewidth=0.8)
+        for m, look in enumerate(targets):
+            axes.plot(results.t, means[:, m], color=look.colour, linestyle=look.line, linewidth=1.0)
+        if np.nanmax(means, initial=NEES) > 4.0 * NEES:
+            axes.set_yscale("log")
+        axes.set_ylabel(f"NEES, {strategy}")
+    panels[-1].set_xlabel("dwell $t$")
+    panels[-1].set_xlim(0, results.dwells)
+    handles = [
+        *(
+            Line2D([], [], color=look.colour, linestyle=look.line, label=f"target {m + 1}")
+            for m, look in enumerate(targets)
+        ),
+        Patch(color=FAINT, alpha=0.25, linewidth=0, label="95 % band of an honest belief"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5)
+    return figure
