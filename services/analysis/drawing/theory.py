@@ -1,12 +1,14 @@
 """Figures of runs beside what theory says: detections against the law of the test, errors against their covariance."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from cogradar.services.analysis.drawing.looks import FAINT, INK, looks, target_looks
+from cogradar.services.analysis.drawing.looks import FAINT, INK, LINES, looks, target_looks
 from cogradar.services.analysis.results import Results
 from cogradar.shared.scoring.errors import nees_band, wilson_interval
 from cogradar.shared.signal.array import bin_centres
@@ -17,6 +19,7 @@ Floats = NDArray[np.float64]
 
 FEWEST = 20  # looks of which a share is drawn
 STEP_DB = 1.0
+LAWS: tuple[Any, ...] = LINES[:3]  # a line for each law of the RCS
 NEES = 4.0  # mean of an honest belief of four dimensions
 
 
@@ -42,7 +45,7 @@ def detection(results: Results) -> Figure:
                 axes.plot(middle, mine.mean(), "o", color=look.colour, markersize=3.5)
     curve = np.linspace(*axes.get_xlim(), 200)
     laws = sorted({target.rcs or world.rcs for target in world.targets})
-    for law, line in zip(laws, ("-", "--", ":"), strict=False):
+    for law, line in zip(laws, LAWS, strict=False):
         p_d = detection_probability(2.0 * 10.0 ** (curve / 10.0), limit, law)
         axes.plot(curve, p_d, color=INK, linewidth=0.9, linestyle=line, zorder=1)
     axes.set_ylim(-0.03, 1.03)
@@ -61,7 +64,7 @@ def detection(results: Results) -> Figure:
             linestyle=line,
             label=f"theory, {law} RCS, $P_{{FA}}$ = {radar.detector.p_fa:g}",
         )
-        for law, line in zip(laws, ("-", "--", ":"), strict=False)
+        for law, line in zip(laws, LAWS, strict=False)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return figure

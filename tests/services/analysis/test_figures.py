@@ -216,7 +216,7 @@ def test_errors_are_within_the_band_of_an_honest_belief(results: Results) -> Non
     drawn = theory.consistency(replace(results, runs={s: honest(runs) for s, runs in results.runs.items()}))
     for axes in drawn.axes:
         (band,) = axes.collections
-        path = band.get_paths()[0].vertices
+        path = np.asarray(band.get_paths()[0].vertices)
         low, high = path[:, 1].min(), path[:, 1].max()
         means = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines[1:]])
         assert (low, high) == pytest.approx(tuple(map(float, nees_band(len(SEEDS)))))
