@@ -20,7 +20,8 @@ from cogradar.shared.world.disturbance import power_spectrum
 Floats = NDArray[np.float64]
 
 _SCORES = (
-    "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, nees"
+    "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat,"
+    " nees, track, visible"
 )
 
 
@@ -39,6 +40,8 @@ class StrategyRuns:
     truth: Floats  # (n, T, M, 4)
     estimate: Floats  # (n, T, M, 4)
     nees: Floats  # (n, T, M); NaN: there was no track or no target
+    track: Floats  # (n, T, M) number of the track that follows it; NaN: none
+    visible: Floats  # (n, T, M) the radar could have seen it, 0 or 1; NaN: there was no target
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,8 @@ def _read_runs(store: Store, experiment: Experiment, strategy: str) -> StrategyR
         truth=table[..., 5:9],
         estimate=table[..., 9:13],
         nees=table[..., 13],
+        track=table[..., 14],
+        visible=table[..., 15],
     )
 
 

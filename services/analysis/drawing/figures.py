@@ -1,4 +1,4 @@
-"""The figures of a store: the paper's accuracy against time, beampatterns, tracks; power shares; GOSPA; theory."""
+"""The figures of a store: the paper's three; power; GOSPA; the life of tracks; detections and errors beside theory."""
 
 import textwrap
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from cogradar.services.analysis.drawing.gospa import gospa
+from cogradar.services.analysis.drawing.life import life
 from cogradar.services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
 from cogradar.services.analysis.drawing.theory import consistency, detection
 from cogradar.services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
@@ -55,6 +56,8 @@ def draw_all(
     drawings["tracks"] = lambda: tracks(results)
     if Strategy.POWER_AWARE in results.runs:
         drawings["power"] = lambda: power_shares(results)
+    if results.scenario.radar.is_unknown and results.is_single:
+        drawings["life"] = lambda: life(results)
     drawings["gospa"] = lambda: gospa(store, results)
     drawings["detection"] = lambda: detection(results)
     drawings["consistency"] = lambda: consistency(results)

@@ -11,12 +11,15 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from cogradar.services.analysis.drawing import figures, theory
 from cogradar.services.analysis.drawing.gospa import gospa
-from cogradar.services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
+from cogradar.services.analysis.drawing.life import life
+from cogradar.services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, TARGETS, target_looks
 from cogradar.services.analysis.results import Results, StrategyRuns, read_results, read_snapshots, running_mean
 from cogradar.services.cli import app as cli
 from cogradar.services.metrics.client import open_store
@@ -222,6 +225,25 @@ def test_errors_are_within_the_band_of_an_honest_belief(results: Results) -> Non
         assert (low, high) == pytest.approx(tuple(map(float, nees_band(len(SEEDS)))))
         assert ((means >= low) & (means <= high)).mean() > 0.8
         assert means.size == DWELLS * results.scenario.n_target
+
+
+def test_the_life_of_tracks_has_a_gap_where_none_follows(results: Results) -> None:
+    """Target 2 comes later; target 1 loses its track and gets another one."""
+    (strategy, runs), *_ = results.runs.items()
+    nan = float("nan")
+    there = np.array([[1] * 8, [0, 0, 1, 1, 1, 1, 1, 1]]).T
+    track = np.array([[nan, 1, 1, 1, nan, nan, 3, 3], [nan] * 3 + [2] * 5]).T
+    flown = replace(runs, true_bin=np.where(there, 3, -1)[None], visible=there.astype(float)[None], track=track[None])
+    axes = life(replace(results, runs={strategy: flown})).axes[0]
+    drawn = [
+        (to_hex(np.asarray(line.get_colors())[0]), [[*segment[:, 0], segment[0, 1]] for segment in line.get_segments()])
+        for line in axes.collections
+        if isinstance(line, LineCollection)
+    ]
+    followed = [(colour.upper(), spans) for colour, spans in drawn if colour != to_hex(FAINT)]
+    first, second = TARGETS[0].colour, TARGETS[1].colour
+    assert followed == [(first, [[1.5, 4.5, 0.0]]), (second, [[6.5, 8.5, 0.0]]), (first, [[3.5, 8.5, 1.0]])]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["1", "2"]
 
 
 def test_power_shares_add_up(results: Results) -> None:
