@@ -146,6 +146,8 @@ $(SKIES)/paris.toml: studies/recorded.py | setup
 
 skies: setup $(SKIES)/paris.toml ## unknown numbers of aircraft: recorded, made up, crossing, turning, none; into docs/skies.md
 	$(call SKY,recorded,$(SKIES)/paris.toml --over radar.fidelity=best-range --dwells 200,5,power-aware)
+	$(BIN)/cogradar run $(SKIES)/paris.toml --in-process --dwells 200 --set radar.fidelity=best-range --store $(SKIES)/life.db
+	$(BIN)/cogradar figures $(SKIES)/life.db --out $(SKIES)/life && cp $(SKIES)/life/life.png docs/figures
 	$(call SKY,traffic,traffic --over radar.search.beams=10,20,orthogonal$(COMMA)power-aware)
 	$(call SKY,crossing,crossing --over radar.fidelity=best-range,200,power-aware)
 	$(call SKY,meeting,meeting --over radar.fidelity=best-range,200,power-aware)

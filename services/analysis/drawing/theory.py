@@ -3,12 +3,13 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from cogradar.services.analysis.drawing.looks import FAINT, INK, LINES, looks, target_looks
+from cogradar.services.analysis.drawing.looks import FAINT, INK, LINES, TARGETS, looks
 from cogradar.services.analysis.results import Results
 from cogradar.shared.scoring.errors import nees_band, wilson_interval
 from cogradar.shared.signal.array import bin_centres
@@ -82,32 +83,34 @@ def _tested(results: Results, strategy: str) -> tuple[Floats, Floats]:
 
 
 def consistency(results: Results) -> Figure:
-    """NEES of each target against time, the mean over runs, a panel a strategy, beside its 95 % band."""
+    """NEES against time, the mean over runs, a panel a strategy, beside its 95 % band: of each target, or of all
+    together if they are more than the colours.
+    """
     drawn, n_target = looks(list(results.runs)), results.scenario.n_target
+    are_apart = n_target <= len(TARGETS)
     figure = Figure(figsize=(7.2, 0.9 + 1.7 * len(drawn)), layout="constrained")
     panels = figure.subplots(len(drawn), 1, sharex=True, squeeze=False)[:, 0]
-    targets = target_looks(n_target)
+    lines = TARGETS[:n_target] if are_apart else TARGETS[:1]
     for axes, strategy in zip(panels, drawn, strict=True):
-        nees = results.runs[strategy].nees
-        known = (~np.isnan(nees)).sum(axis=0)  # (T, M)
+        nees = results.runs[strategy].nees  # (n, T, M)
+        nees = nees if are_apart else np.moveaxis(nees, 2, 1).reshape(-1, results.dwells, 1)
+        known = (~np.isnan(nees)).sum(axis=0)
         with np.errstate(invalid="ignore"):  # 0/0: no track
             means = np.nansum(nees, axis=0) / known
         low, high = nees_band(np.maximum(known.max(axis=1), 1))
         axes.fill_between(results.t, low, high, color=FAINT, alpha=0.25, linewidth=0)
         axes.axhline(NEES, color=INK, linewidth=0.8)
-        for m, look in enumerate(targets):
+        for m, look in enumerate(lines):
             axes.plot(results.t, means[:, m], color=look.colour, linestyle=look.line, linewidth=1.0)
         if np.nanmax(means, initial=NEES) > 4.0 * NEES:
             axes.set_yscale("log")
         axes.set_ylabel(f"NEES, {strategy}")
     panels[-1].set_xlabel("dwell $t$")
     panels[-1].set_xlim(0, results.dwells)
-    handles = [
-        *(
-            Line2D([], [], color=look.colour, linestyle=look.line, label=f"target {m + 1}")
-            for m, look in enumerate(targets)
-        ),
-        Patch(color=FAINT, alpha=0.25, linewidth=0, label="95 % band of an honest belief"),
+    handles: list[Artist] = [
+        Line2D([], [], color=look.colour, linestyle=look.line, label=f"target {m + 1}" if are_apart else "all targets")
+        for m, look in enumerate(lines)
     ]
+    handles.append(Patch(color=FAINT, alpha=0.25, linewidth=0, label="95 % band of an honest belief"))
     figure.legend(handles=handles, loc="outside upper center", ncols=5)
     return figure
