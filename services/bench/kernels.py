@@ -217,6 +217,17 @@ def _array_ranges() -> list[float]:
     return _repeat(every_range)
 
 
+def _array_echoes() -> list[float]:
+    """Echoes of -10 to 18 dB a channel found, and every bin tested beside them, its noise estimated from rows."""
+    told_apart = Processing(is_steered=True, monopulse=False, by_rows=True, separates=True)
+    nus, signatures = bin_centres(100), Signatures(100.0, np.empty((100, 0), np.complex128), 100)
+    data = [inputs.echo(0.002, 0.0j, i) for i in range(8)]
+    for y in data:
+        for m in range(8):
+            add_echo(y, 10.0 ** ((4.0 * m - 10.0) / 20.0), *signatures.at(0.118 * m - 0.42))
+    return _repeat(lambda i: DataSet(data[i % 8], signatures, told_apart).tests(nus))
+
+
 def _monopulse() -> list[float]:
     """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
@@ -270,6 +281,7 @@ CASES = {
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
     "array_dwell": Case("a data set of 10^4 channels, 100 bins tested from it", 2.0, _array_dwell),
     "array_ranges": Case("390 range cells, a data set each, 100 bins tested from it", 120.0, _array_ranges),
+    "array_echoes": Case("8 echoes found in a data set, 100 bins tested beside them", None, _array_echoes),
     "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.36, _monopulse),
     "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),

@@ -38,6 +38,7 @@ KERNELS = (
         "cell",
         "array_dwell",
         "array_ranges",
+        "array_echoes",
         "monopulse",
     ),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "allocate_equal_12"),
