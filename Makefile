@@ -185,10 +185,11 @@ array: setup $(ARRAY)/twelve.toml $(ARRAY)/crowded.toml $(ARRAY)/high.toml ## th
 	$(BIN)/python -m studies.array blind --into docs/array.md
 	$(BIN)/python -m studies.array noise --recording $(ARRAY)/sea.npy --into docs/array.md
 	$(call WORLD,steered,paper-best $(IN_ARRAY) $(TURNED) --over radar.receiver.separation=none$(COMMA)joint,5)
-	$(call WORLD,twelve,$(ARRAY)/twelve.toml $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,5)
+	$(call WORLD,twelve,$(ARRAY)/twelve.toml $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,20)
 	$(call WORLD,crowded,$(ARRAY)/crowded.toml --set name=twelve $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,10)
+	$(call WORLD,traffic,traffic $(IN_ARRAY) --over radar.receiver.separation=none$(COMMA)joint --dwells 300,10)
 	$(call WORLD,jammer,paper-best $(IN_ARRAY) $(TURNED) --set radar.receiver.noise=rows --over 'world.jammers=[]$(COMMA)$(JAMMER)' --dwells 60,2)
-	$(call WORLD,heights,$(ARRAY)/high.toml $(IN_ARRAY) --over radar.assumes.height_max_km=0$(COMMA)12 --dwells 40,7)
+	$(call WORLD,heights,$(ARRAY)/high.toml $(IN_ARRAY) --over radar.assumes.height_max_km=0$(COMMA)12 --dwells 40,10)
 	$(BIN)/python -m studies.array heights $(ARRAY)/heights.db --into docs/array.md
 	$(call WORLD,best,paper-best --over world.signal=cells$(COMMA)array,20)
 	$(call WORLD,literal,paper-literal --over world.signal=cells$(COMMA)array,1)

@@ -21,10 +21,10 @@ IntoOption = Annotated[Path | None, typer.Option(help="Markdown page whose table
 StoreArgument = Annotated[str, typer.Argument(help="Store of a sweep.")]
 
 
-def _show(found: Table, name: str, into: Path | None) -> None:
+def _show(found: list[Table], name: str, into: Path | None) -> None:
     if into:
-        write_into(into, {name: [found]})
-    print_tables(out, [found])
+        write_into(into, {name: found})
+    print_tables(out, found)
 
 
 @app.command()
@@ -37,7 +37,7 @@ def antennas(into: IntoOption = None) -> None:
         if into:
             check_page(into, ["antennas"])
         kernels.compile_all(lambda text: out.print(text, soft_wrap=True), stop)
-        _show(study.table(study.measure()), "antennas", into)
+        _show([study.table(study.measure())], "antennas", into)
 
 
 @app.command()
@@ -54,18 +54,18 @@ def noise(
             check_page(into, ["noise"])
         with progress(out) as tell:
             rows = study.measure(recording, dwells, tell, stop)
-        _show(study.table(rows), "noise", into)
+        _show([study.table(rows)], "noise", into)
 
 
 @app.command()
 def blind(into: IntoOption = None) -> None:
-    """Count the bins that a jammer leaves without an estimate of the noise."""
+    """Count the bins that a jammer leaves without an estimate of the noise, and the targets detected beside it."""
     from studies.array import jammer as study
 
     with command():
         if into:
             check_page(into, ["blind"])
-        _show(study.table(study.measure()), "blind", into)
+        _show(study.tables(study.measure()), "blind", into)
 
 
 @app.command()
@@ -74,7 +74,7 @@ def heights(store: StoreArgument, into: IntoOption = None) -> None:
     from studies.array import heights as study
 
     with command(at_once=True):
-        _show(study.table(study.measure(store)), "heights", into)
+        _show([study.table(study.measure(store))], "heights", into)
 
 
 @app.command()

@@ -87,12 +87,17 @@ def _known_levels() -> Floats:
     return np.asarray(np.mean([one.powers(NUS) for one in draws], axis=0))
 
 
+def zeta_of_known_noise() -> float:
+    """2 |alpha|^2 / E |alpha_hat|^2 of a target that is detected with probability P_D_KNOWN where noise is known."""
+    return float(brentq(lambda zeta: ncx2.sf(threshold(P_FA), 2, zeta) - P_D_KNOWN, 1.0, 200.0))
+
+
 def _detected(recording: Recording, k: int, variances: Floats) -> Floats:
     """Whether the target of each look is detected, in one range cell each, (noises, 2, looks); the second: 1 dB more.
 
     variances : (n_range, looks) of alpha_hat, of the known noise
     """
-    zeta = brentq(lambda zeta: ncx2.sf(threshold(P_FA), 2, zeta) - P_D_KNOWN, 1.0, 200.0)
+    zeta = zeta_of_known_noise()
     cells = (7 * np.arange(NUS.size) + k) % sea.N_RANGE  # 7 and 64 have no common factor: each target has its own
     rng, found = np.random.default_rng(k), np.zeros((len(NOISES), 2, NUS.size))
     phases = np.exp(2j * np.pi * rng.uniform(size=NUS.size))

@@ -79,12 +79,17 @@ def test_equal_antennas_lose_little_and_no_less_than_proven(monkeypatch: pytest.
 def test_a_jammer_blinds_lags_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jammer, "DWELLS", 4)
     monkeypatch.setattr(jammer, "JNRS_DB", (20.0,))
+    monkeypatch.setattr(jammer, "DRAWS", 100)
     rows = {(row["noise"], row["jnr"]): row for row in jammer.measure()}
     assert rows["lags", "20"]["blind"] > 25.0
     assert [rows[place]["blind"] for place in (("lags", "none"), ("rows", "none"), ("rows", "20"))] == [0.0] * 3
     assert rows["rows", "20"]["tests"] >= 4 * (100 - 9)
     assert rows["rows", "20"]["false"] <= 3
-    assert "| rows | 20 | 0.0 |" in markdown(jammer.table(list(rows.values())))
+    assert rows["rows", "20"]["more_null"] > rows["rows", "20"]["p_d_null"] > rows["rows", "20"]["p_d_lobe"]
+    assert rows["lags", "20"]["p_d_lobe"] < 0.1
+    bins, detection = map(markdown, jammer.tables(list(rows.values())))
+    assert "| rows | 20 | 0.0 |" in bins
+    assert "| 24.5 beams off |" in detection
 
 
 def test_heights_that_are_assumed_are_in_the_covariance(played: Played) -> None:
