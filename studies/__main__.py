@@ -76,7 +76,7 @@ def scaling(into: IntoOption = None, as_json: JsonOption = False) -> None:
 
     with command() as stop:
         if into:
-            check_page(Path(into), [SCALING])
+            page.check_quiet(Path(into), [SCALING])
         with _measuring(stop, as_json=as_json) as tell:
             measured, joined = runs.measure(tell, stop), joins.measure(tell, stop)
         shown, remark = [*tables.tables(measured), joins.table(joined)], tables.remark()
@@ -150,7 +150,7 @@ def crowd(into: IntoOption = None, as_json: JsonOption = False) -> None:
 
     with command() as stop:
         if into:
-            check_page(Path(into), [CROWD])
+            page.check_quiet(Path(into), [CROWD])
         with _measuring(stop, as_json=as_json) as tell:
             found = study.measure(tell, stop)
         if into:

@@ -206,7 +206,11 @@ class _Site:
 def table(cells: Sequence[Cell]) -> Table:
     """One row per number of targets and planners."""
     columns = (
-        *(Column("targets", "{targets}"), Column("planners", "{planners}"), Column("rate Hz", "{rate_hz:.1f}")),
+        *(
+            Column("targets", "{targets}", left=True),
+            Column("planners", "{planners}", left=True),
+            Column("rate Hz", "{rate_hz:.1f}", left=True),
+        ),
         *(Column("not held", "{not_held_hz:.1f}"), Column("late %", "{late:.2f}"), Column("stale %", "{stale:.2f}")),
         *(Column("searched %", "{searched:.2f}"), Column("tracks x Hz", "{tracks_hz:.0f}")),
         Column("lockstep Hz", "{lockstep_hz:.1f}"),

@@ -13,7 +13,7 @@ from studies.scaling.runs import Measured
 
 ROLES = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)
 TOPICS = ("scan", "truth", "plan", "waveform")
-RUN = (Column("targets", "{n_target}"), Column("planners", "{planners}"))
+RUN = (Column("targets", "{n_target}", left=True), Column("planners", "{planners}", left=True))
 
 
 def as_json(measured: Sequence[Measured]) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def _bytes(measured: Sequence[Measured]) -> Table:
 def _model(measured: Sequence[Measured]) -> Table:
     columns = (
         *(Column("targets", "{targets}"), Column("Hz", "{rate_hz:g}"), Column("radars", "{radars}")),
-        *(Column("systems", "{systems}"), Column("planners", "{planners}")),
+        *(Column("systems", "{systems}", left=True), Column("planners", "{planners}", left=True)),
         *(Column("their cores", "{planner_cores:.1f}"), Column("others", "{other_cores:.1f}")),
         *(Column("MB/s", "{megabytes_s:.2f}"), Column("dwell ms", "{dwell_ms:.0f}")),
     )
