@@ -22,6 +22,10 @@ class BadInput(Failure, ValueError):
     exit_code = 2
 
 
+class InUse(BadInput):
+    """Another process has the store, and its text names it."""
+
+
 class MissingLibrary(BadInput, ModuleNotFoundError):
     """A library that is an extra of ours is not installed; the text says what installs it."""
 

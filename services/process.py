@@ -15,7 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
 from cogradar.services.certs.validity import Validity
-from cogradar.services.errors import BadInput, Deposed, Interrupted, StoreFailed, check_stop
+from cogradar.services.errors import BadInput, Deposed, Interrupted, InUse, StoreFailed, check_stop
 from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build, difference
@@ -87,7 +87,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             compile_all(log.info, stop)
         if service.yields and hasattr(os, "nice"):
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
-        core = service.core(replace(start, check=check))
+        core = _made(service.core, replace(start, check=check))
         if isinstance(core, Closing):
             closing.callback(core.close)
         session = open_session(connect.split(","), None, check=check)
@@ -111,6 +111,29 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         serve(core, bus, stop, bus.meter, _beat(beat, service.role, claim))
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)
+
+
+def _made(make: Callable[[Start], Core], start: Start) -> Core:
+    """The core of a process; of a recorder whose journal another one has, when it is free. Raises BadInput."""
+    beat, told = Heartbeat(core=_StandsBy()), ""
+    while True:
+        try:
+            return make(start)
+        except InUse as error:
+            if not start.stands_by:
+                raise
+            if str(error) != told:
+                log.warning("%s; this one stands by, and takes over when it is gone", error)
+            told = str(error)
+        beat()
+        start.check()
+        time.sleep(HOLDER_POLL_S)
+
+
+class _StandsBy:
+    """What a process that only waits says of itself."""
+
+    trouble = "stands by: another recorder has the journal"
 
 
 def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[], None]:

@@ -20,6 +20,7 @@ class Start:
     keep_days: float | None = None  # ... and for how long
     keep_hours: float | None = None  # ... of a run without an end, by the run's clock,
     keep_bytes: int | None = None  # ... and how much of it; None: as `Retention` has it
+    stands_by: bool = True  # recorder: while another process has the journal; False: it is an error
     front_end: str = "simulated"  # emulator: a name of `cogradar.services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second

@@ -186,6 +186,7 @@ def service(
             keep_days,
             keep_hours,
             keep_bytes,
+            not with_parent,
             front_end,
             played,
             rate,

@@ -13,7 +13,7 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 
 FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still
 MOST_S = 86_400.0  # ... and a run in real time, however slow, at least once a day
-MAX_RUNS = 256  # known at a time
+MAX_RUNS = 4096  # known at a time
 STEP_S = 1.0  # most that one tick counts: a process that was frozen has messages waiting
 
 

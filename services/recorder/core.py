@@ -41,7 +41,7 @@ CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below 
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
 BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; a process that asked in vain asks again
-MAX_RUNS = 256  # that go on at a time
+MAX_RUNS = 4096  # that go on at a time
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 

@@ -22,9 +22,9 @@ from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
 from cogradar.services.simulation.links import Links
 from cogradar.services.simulation.process import SPIN, Clock, Process
-from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.events import Event, Membership, Shards, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart
-from cogradar.shared.protocol.topics import BY_MESSAGE, Role
+from cogradar.shared.protocol.topics import ALL_SHARDS, BY_MESSAGE, Role
 from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.runner import TICK_S, Core
 
@@ -97,6 +97,7 @@ class Cluster:
         self._due: list[_Due] = []
         self._n = itertools.count()
         self._recorder_began = False
+        self._away: Counter[str] = Counter()  # by key: how often the runs of a process are elsewhere
         self.said: dict[bytes, Message] = {}  # by what it is on the wire
 
     def at(self, at_s: float, do: Callable[[], None]) -> None:
@@ -144,6 +145,16 @@ class Cluster:
         self.disk.leave()
         self.start(key)
 
+    def move(self, key: str, *, away: bool) -> None:
+        """The runs of a process are elsewhere from now on, or here again; also of one that is started meanwhile."""
+        self._away[key] += 1 if away else -1
+        if key in self.processes:
+            self._tell_shards(self.processes[key], key)
+
+    def _tell_shards(self, process: Process, key: str) -> None:
+        process.inbox.append(Shards(frozenset() if self._away[key] else ALL_SHARDS))
+        self.serve(process)
+
     def tell_members(self) -> None:
         """Tell the planners of each other, as far as they can see."""
         planners = [process for process in self.processes.values() if process.role is Role.PLANNER]
@@ -185,7 +196,7 @@ class Cluster:
             raise Spinning(f"{process.name} does not come to rest")
         self._set_timer(process)
 
-    def _receive(self, process: Process, item: bytes | Membership) -> None:
+    def _receive(self, process: Process, item: bytes | Membership | Shards) -> None:
         event = decode(item) if isinstance(item, bytes) else item
         if isinstance(event, Message) and process.epochs.fault(event):
             self.counts["deposed"] += 1
@@ -253,6 +264,8 @@ class Cluster:
         process = self.processes[key] = Process(name, role, core, Clock(since_s=self.now_s))
         process.tick_s = TICK_S
         self.tell_members()
+        if self._away[key]:
+            self._tell_shards(process, key)
         self._set_timer(process)
 
     def _is_there(self, process: Process) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from cogradar.services.delivery.invariant import Checked
 from cogradar.services.simulation.schedule import Fault
-from cogradar.shared.protocol.events import Membership, Tick
+from cogradar.shared.protocol.events import Membership, Shards, Tick
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.bus import Epochs
 from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
@@ -43,7 +43,7 @@ class Process:
     role: Role
     core: Core
     clock: Clock
-    inbox: deque[bytes | Membership] = field(default_factory=deque)
+    inbox: deque[bytes | Membership | Shards] = field(default_factory=deque)
     epochs: Epochs = field(default_factory=Epochs)
     halted: set[Fault] = field(default_factory=set)  # what keeps it from going on
     behind: set[Fault] = field(default_factory=set)  # what lets it always have something to read

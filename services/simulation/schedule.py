@@ -68,11 +68,13 @@ class Kind(StrEnum):
     UNSYNCED = "unsynced"  # the disk keeps no sync, and then the power is cut: some last transactions are lost
     REMOVED = "removed"  # the journal's files are elsewhere for a while
     GONE = "gone"  # a planner ends and never comes back
+    MOVED = "moved"  # another process of the role serves the runs for a while, and this one none
 
 
 LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT})
 RARE = (Kind.BROKEN, Kind.UNSYNCED, Kind.REMOVED, Kind.GONE)  # drawn apart, one in RARE_SHARE of the schedules
 RARE_SHARE = 0.15
+MOVED_SHARE = 0.15  # likewise of the schedules in which runs are moved
 DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 # In real time nothing can be repeated, and no role runs twice.
@@ -162,7 +164,7 @@ class Schedule:
             faults=(),
             dwells=LONG_DWELLS if is_long else DWELLS,
         )
-        faulty = replace(made, faults=(*made._faults(rng), *made._rare()))
+        faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *made._moved()))
         is_commanded = not rate_hz and rng.random() < COMMANDED
         return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
 
@@ -199,7 +201,7 @@ class Schedule:
         )
 
     def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
-        possible = sorted(set(Kind) - set(RARE) - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
+        possible = sorted(set(Kind) - {*RARE, Kind.MOVED} - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
@@ -212,6 +214,10 @@ class Schedule:
             possible.remove(Kind.GONE)
         is_drawn = rng.random() < RARE_SHARE
         return (self._fault(possible[rng.integers(len(possible))], MOST_FAULTS, rng),) if is_drawn else ()
+
+    def _moved(self) -> tuple[Fault, ...]:
+        rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 3)
+        return (self._fault(Kind.MOVED, MOST_FAULTS + 1, rng),) if rng.random() < MOVED_SHARE else ()
 
     def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
@@ -246,6 +252,8 @@ class Schedule:
             who = "emulator-0"
         elif kind is Kind.TWIN:
             who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
+        elif kind is Kind.MOVED:
+            who = SINGLE[1 + rng.integers(2)]
         if kind is Kind.SUCCESSOR:
             length_s += LEASE_S  # else it has none
         elif kind is Kind.GONE:

@@ -197,8 +197,8 @@ class Simulator:
                     cluster.at(cluster.now_s + LEASE_S, partial(self._expire, process, fault))
             case Kind.BEHIND if process is not None:
                 process.behind.add(fault)
-            case Kind.TWIN:
-                cluster.start(_twin(fault), fault.who if fault.who.startswith(Role.PLANNER) else "")
+            case Kind.TWIN | Kind.MOVED:
+                self._double(fault, is_there=True)
             case Kind.DRIFT if process is not None:
                 process.clock.set(cluster.now_s, pace=fault.amount)
             case Kind.JUMP if process is not None:
@@ -230,8 +230,8 @@ class Simulator:
                 self._go_on(process, fault)
             case Kind.BEHIND if process is not None:
                 process.behind.discard(fault)
-            case Kind.TWIN:
-                cluster.kill(_twin(fault))
+            case Kind.TWIN | Kind.MOVED:
+                self._double(fault, is_there=False)
             case Kind.DRIFT if process is not None:
                 process.clock.set(cluster.now_s, pace=1.0)
             case _ if fault.kind in _SWITCHED:
@@ -244,6 +244,17 @@ class Simulator:
                 cluster.ask(self._starts, self._commands)  # runs that the journal lacks are begun again
             case _:
                 pass
+
+    def _double(self, fault: Fault, *, is_there: bool) -> None:
+        """A second process of a role, with or without the first one's runs."""
+        if is_there and fault.kind is Kind.MOVED:
+            self._cluster.move(fault.who, away=True)
+        if is_there:
+            self._cluster.start(_twin(fault), fault.who if fault.who.startswith(Role.PLANNER) else "")
+        else:
+            self._cluster.kill(_twin(fault))
+        if not is_there and fault.kind is Kind.MOVED:
+            self._cluster.move(fault.who, away=False)
 
     def _start(self, name: str) -> None:
         """Start a process that nothing keeps down."""

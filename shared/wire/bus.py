@@ -39,7 +39,7 @@ class Bus(Protocol):
 LOCAL = "local"  # build of the cores that share one process
 MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
-MAX_RUNS_HEARD = 1000  # whose epochs are kept
+MAX_RUNS_HEARD = 8192  # whose epochs are kept
 MAX_WAITING = 20_000  # payloads of one topic, ...
 MAX_WAITING_BYTES = 32 << 20  # ... and their bytes, that wait at a process
 

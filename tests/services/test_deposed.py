@@ -1,4 +1,6 @@
-"""Real processes: one that was stopped, and goes on beside the one that took over from it, ends itself."""
+"""Real recorders: one that was stopped, and goes on beside the one that took over from it, ends itself. One that comes
+second stands by until the first is gone.
+"""
 
 import signal
 import sqlite3
@@ -12,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services import kernels
+from cogradar.services import health, kernels
 from cogradar.services.errors import Deposed
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster, in_process
@@ -114,4 +116,24 @@ def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_pa
         assert now > before
         _ends_itself(launcher, "recorder-0", f"recorder-1 has {store} with epoch {now}, this")
         assert readers.next().epoch == now
+        readers.end()
+
+
+@pytest.mark.zenoh
+def test_a_second_recorder_stands_by_and_takes_over(tmp_path: Path) -> None:
+    store = tmp_path / "runs.db"
+    with ExitStack() as stack:
+        launcher, readers = stack.enter_context(_run_that_goes_on(store))
+        beat = tmp_path / "beat"
+        with pytest.MonkeyPatch.context() as environment:
+            environment.setenv(health.VARIABLE, str(beat))
+            stack.enter_context(_successor(launcher, Role.RECORDER, "--store", str(store)))
+        before = readers.next().epoch
+        while not beat.exists() or not beat.read_text().startswith("stands by"):
+            assert readers.next().epoch == before
+        launcher.signal("recorder-0", signal.SIGKILL)
+        began = time.monotonic()
+        while readers.next().epoch == before:
+            pass
+        assert time.monotonic() - began < 5.0
         readers.end()

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from filelock import lock_descriptor, unlock_descriptor
 
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, InUse
 
 
 class JournalLock:
     """The right to write to a journal, until it is released or the process dies, however it dies."""
 
     def __init__(self, path: str, owner: str) -> None:
-        """Take it. Raises BadInput with the owner's name if another process has it, or if no lock can be made."""
+        """Take it. Raises InUse with the owner's name if another process has it, BadInput if no lock can be made."""
         self._path = f"{Path(path).resolve()}.lock"
         try:
             self._file = self._take(path)
@@ -44,7 +44,7 @@ class JournalLock:
             if not lock_descriptor(file, blocking=False):
                 holder = _holder(file)
                 os.close(file)
-                raise BadInput(f"{path}: in use by {holder}")
+                raise InUse(f"{path}: in use by {holder}")
             if _is_at(file, self._path):
                 return file
             os.close(file)  # its owner released it, and with it the name, between the two calls

@@ -110,4 +110,4 @@ def test_nobody_moves_the_radar_on_by_a_waveform_of_a_dwell_to_come() -> None:
 
 
 def test_the_limit_of_runs_is_that_of_the_documents() -> None:
-    assert MAX_RUNS == recorder.MAX_RUNS == 256
+    assert MAX_RUNS == recorder.MAX_RUNS == 4096

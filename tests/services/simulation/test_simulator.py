@@ -2,11 +2,14 @@
 
 import math
 import sys
+from contextlib import closing
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
 from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.pacing import Lockstep
 from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.emulator.core import EmulatorCore
@@ -24,7 +27,7 @@ from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.memory import FUNCTIONS, Memory, remembering
 from cogradar.services.simulation.schedule import DWELLS, Asked, Fault, Kind, Schedule
-from cogradar.services.simulation.simulator import Outcome, play
+from cogradar.services.simulation.simulator import Outcome, Simulator, play
 from cogradar.services.simulation.skies import start_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Event, Membership, Tick
@@ -115,6 +118,30 @@ def test_every_kind_of_fault_is_drawn() -> None:
     drawn = [Schedule.draw(seed) for seed in range(200)]
     assert {fault.kind for schedule in drawn for fault in schedule.faults} == set(Kind)
     assert {schedule.sky for schedule in drawn if schedule.rate_hz} == {"known", "unknown"}
+
+
+@pytest.mark.parametrize("who", ["emulator-0", "allocator-0"])
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0])
+def test_runs_that_are_moved_to_another_process_and_back_are_the_same(who: str, rate_hz: float) -> None:
+    moved = Fault(Kind.MOVED, 0.03, 0.9, who)
+    assert _played(moved, rate_hz=rate_hz).violation == ""
+    crash = Fault(Kind.CRASH, 0.1, 0.4, who, n=1)  # it is started while its runs are elsewhere
+    assert _played(moved, crash, rate_hz=rate_hz).violation == ""
+
+
+def test_in_real_time_a_process_that_lost_a_run_radiates_no_dwell_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def two_at_once() -> int:
+        disk = Disk(generator(1, Purpose.FAULT, -1, 2))
+        with closing(disk):
+            moved = replace(PLAIN, faults=(Fault(Kind.MOVED, 0.3, 2.5, "emulator-0"),), rate_hz=10.0, dwells=40)
+            simulator = Simulator(moved, disk)
+            assert simulator.play().violation == ""
+            at_s = [dwell.at_s for dwell in simulator._radiated]
+        return sum(later - before < 0.05 for before, later in pairwise(at_s))
+
+    assert two_at_once() <= 2  # when it is moved there, and back
+    monkeypatch.setattr(Inactivity, "_serve", lambda *_: [])
+    assert two_at_once() > 2
 
 
 @pytest.mark.parametrize("kind", [Kind.CRASH, Kind.HANG, Kind.FREEZE])

@@ -137,7 +137,7 @@ def _running(file: Path) -> bool:
 
 
 def test_other_commands_are_refused_and_the_first_run_goes_on(busy: Path) -> None:
-    for command in ("run smoke", "run smoke --in-process", "campaign smoke --runs 1", "service recorder"):
+    for command in ("run smoke", "run smoke --in-process", "campaign smoke --runs 1"):
         arguments = [*COGRADAR, *command.split(), "--store", str(busy)]
         done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stdout) == (2, "")
