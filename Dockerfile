@@ -21,7 +21,7 @@ COPY pyproject.toml README.md ./
 COPY deploy/container/dependencies.py /tmp/
 RUN --mount=type=cache,target=/root/.cache/uv \
     uv venv --quiet venv \
-    && uv pip compile --quiet --native-tls --no-header --no-annotate --constraint requirements.lock pyproject.toml \
+    && uv pip compile --quiet --native-tls --no-header --no-annotate --extra postgres --constraint requirements.lock pyproject.toml \
         --output-file /tmp/wanted.txt \
     && python /tmp/dependencies.py requirements.lock /tmp/wanted.txt > /tmp/dependencies.txt \
     && uv pip install --quiet --native-tls --python venv --link-mode copy --compile-bytecode --only-binary :all: \

@@ -206,7 +206,7 @@ reliability: setup ## play what holds each promise of docs/reliability.md, and w
 # What `docker build` puts into the image beside Python: what pyproject.toml asks for, of the lock.
 build/image.txt: requirements.lock pyproject.toml | setup
 	@mkdir -p build
-	@$(BIN)/uv pip compile --quiet --no-header --no-annotate --constraint requirements.lock pyproject.toml --output-file build/wanted.txt
+	@$(BIN)/uv pip compile --quiet --no-header --no-annotate --extra postgres --constraint requirements.lock pyproject.toml --output-file build/wanted.txt
 	@$(BIN)/python deploy/container/dependencies.py requirements.lock build/wanted.txt >$@
 
 # The versions of requirements.lock, the licences that the packages state.

@@ -162,4 +162,4 @@ def open(file: str | Path) -> Runs:  # noqa: A001 - read as cogradar.open, as gz
     from cogradar.services.recorder.journal import Journal
 
     store = Store(Journal(str(file), read_only=True))
-    return Runs(partial(answer, store), store.close, str(file))
+    return Runs(partial(answer, store), store.close, store.journal.path)

@@ -49,6 +49,10 @@ class Displaced(NoRoom):
     """
 
 
+class Unreachable(NoRoom):
+    """The server of a store does not answer, or has ended the session; what was not committed is undone."""
+
+
 class Deposed(Failure):
     """Another process took over the role of this one, which was frozen or cut off; this one has ended itself."""
 

@@ -20,6 +20,7 @@ from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.services.recorder.store.address import is_server, shown
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 from cogradar.shared.protocol.topics import FRONT_END_NAME
 from cogradar.shared.scenario.plugins.kinds import FRONT_END
@@ -54,7 +55,7 @@ def settled(name: str) -> str:
         open_front_end(name)
         return name
     file, run = _recording(name)
-    return f"{_RECORDED}{Path(file).resolve()}#{run}"
+    return f"{_RECORDED}{file if is_server(file) else Path(file).resolve()}#{run}"
 
 
 def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFrontEnd:
@@ -88,9 +89,9 @@ def _recorded(name: str) -> OpenFrontEnd:
                 journal = opened.enter_context(closing(Journal(file, read_only=True)))
                 start = journal.start(run)
             except (BadInput, StoreFailed, Unreadable) as error:
-                raise FrontEndError(f"{file}: {error}") from None
+                raise FrontEndError(f"{shown(file)}: {error}") from None
             if start is None:
-                raise FrontEndError(f"{file}: no run {run}")
+                raise FrontEndError(f"{shown(file)}: no run {run}")
             radars = (RadarConfig.model_validate(radar) for radar in (start.scenario["radar"], checkpoint.radar))
             check_fits(*radars)
             return RecordedFrontEnd(lambda k: journal.message(run, k, "scan", 0), opened.pop_all().close)
@@ -106,18 +107,18 @@ def _recording(name: str) -> tuple[str, str]:
             rows = journal.read(
                 "SELECT run.run, COUNT(message.k) AS n, MAX(message.k) AS last FROM run LEFT JOIN message"
                 " ON message.run = run.run AND topic = 'scan' WHERE run.run = ? OR (? = '' AND status = 'complete')"
-                " GROUP BY run.run ORDER BY run.rowid DESC LIMIT 1",
+                " GROUP BY run.run ORDER BY run.place DESC LIMIT 1",
                 [run, run],
             )
     except StoreFailed as error:
         raise BadInput(str(error)) from None
     if not rows:
-        raise BadInput(f"{file}: no run {run}" if run else f"{file}: no complete run")
+        raise BadInput(f"{shown(file)}: no run {run}" if run else f"{shown(file)}: no complete run")
     (found,) = rows
     if found["n"] == 0:
-        raise BadInput(f"{file}: no scans of {found['run']} are stored")
+        raise BadInput(f"{shown(file)}: no scans of {found['run']} are stored")
     if found["n"] != found["last"] + 1:
-        raise BadInput(f"{file}: scans of {found['run']} are missing, only a run without gaps can be replayed")
+        raise BadInput(f"{shown(file)}: scans of {found['run']} are missing, only a run without gaps can be replayed")
     return file, str(found["run"])
 
 

@@ -14,7 +14,7 @@ class Start:
     """What a process is told when it starts."""
 
     name: str
-    store: str = ""  # file of the journal, for recorder and metrics
+    store: str = ""  # journal, for recorder and metrics: a file, or an address of PostgreSQL
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long

@@ -77,8 +77,8 @@ MUTANTS = (
     Mutant(
         "the first message of a dwell is overwritten by a later one",
         JOURNAL,
-        "INSERT OR IGNORE INTO message VALUES",
-        "INSERT OR REPLACE INTO message VALUES",
+        "INSERT INTO message VALUES (?,?,?,?,?) ON CONFLICT DO NOTHING",
+        "INSERT OR REPLACE INTO message VALUES (?,?,?,?,?)",
         harmless="a second one has the same bytes",
     ),
     Mutant(
@@ -91,7 +91,7 @@ MUTANTS = (
     Mutant(
         "an older snapshot replaces a newer one",
         JOURNAL,
-        "payload = excluded.payload WHERE excluded.k > k",
+        "payload = excluded.payload WHERE excluded.k > snapshot.k",
         "payload = excluded.payload",
         harmless="a new owner observes more scans, and is where it would be",
     ),
@@ -111,7 +111,7 @@ MUTANTS = (
     ),
     Mutant(
         "epochs are not looked at inside a transaction",
-        "services/recorder/file/database.py",
+        "services/recorder/store/database.py",
         "if self.epoch and (newest := self._newest()).epoch > self.epoch:",
         "if (newest := self._newest()).epoch < 0:",
     ),

@@ -1,10 +1,7 @@
 """What is kept and counted: the tables of a store, the metrics of the processes."""
 
-import re
-
 from cogradar.services.metrics.processes import UP
-from cogradar.services.recorder.file.schema import MEMORY, SCHEMA_VERSION
-from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import SCHEMA_VERSION, described
 from cogradar.shared.wire.exposition import METRICS
 from cogradar.shared.wire.meter import EDGES_S, FINE_EDGES_S
 from docs.generator.markdown import code, prose, table
@@ -12,14 +9,12 @@ from docs.generator.markdown import code, prose, table
 
 def store() -> str:
     """A part per table of a store, with a row per column, as the file itself has them."""
-    journal = Journal(MEMORY)
     parts = []
-    for row in journal.read("SELECT name, sql FROM sqlite_master WHERE type = 'table'"):
-        (what,) = re.findall(r"CREATE TABLE \w+ \( -- (.*)", row["sql"])
-        columns = re.findall(r"^ *([a-z]\w*) (.*?),? -- (?:\[(.*?)\] )?(.*)$", row["sql"], re.MULTILINE)
-        rows = [(code(name), kind.split()[0].lower(), unit, prose(text)) for name, kind, unit, text in columns]
-        parts.append(f"### {row['name']}\n\n{prose(what)}.\n\n{table(('column', 'type', 'unit', 'what it is'), rows)}")
-    journal.close()
+    for one, columns in described():
+        rows = [(code(column.name), column.kind.lower(), column.unit, prose(column.meaning)) for column in columns]
+        parts.append(
+            f"### {one.name}\n\n{prose(one.meaning)}.\n\n{table(('column', 'type', 'unit', 'what it is'), rows)}"
+        )
     return "\n".join(parts)
 
 

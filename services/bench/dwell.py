@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.file.schema import MEMORY
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import MEMORY
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses

@@ -24,8 +24,8 @@ from typing import Any
 from cogradar.services.campaigns.pool import Pool, interrupts_ignored, play_one
 from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.services.runs.run import ending, loaded, strategy_of
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart
@@ -93,7 +93,7 @@ def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
     with ExitStack() as opened:
         journal = opened.enter_context(closing(Journal(path, owner="cogradar campaign")))
         if (fault := _fault(journal, campaign, resume=resume)) is not None:
-            raise BadInput(f"{path}: holds {fault}")
+            raise BadInput(f"{journal.path}: holds {fault}")
         store = Store(journal)
         opened.pop_all()
     return store
@@ -168,12 +168,13 @@ def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
     total = hashlib.sha256()
     for run in store.read(
         "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run"
-        " WHERE ? IS NULL OR run IN (SELECT value FROM json_each(?)) ORDER BY document, strategy, seed, run",
-        2 * [None if runs is None else json.dumps(runs)],
+        " ORDER BY document, strategy, seed, run"
     ):
+        if runs is not None and run["run"] not in runs:
+            continue
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
-        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
+        for score in store.all_scores(name):
             # Counted from 0, as the messages do.
             track = None if score["track"] is None else score["track"] - 1
             total.update(score.pop("cells").encode())

@@ -14,7 +14,7 @@ from typing import Protocol
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import in_memory
-from cogradar.services.recorder.file.schema import Recording
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.messages import RunStart

@@ -21,6 +21,7 @@ from cogradar.services.cli.console import (
     ConnectOption,
     JsonOption,
     ServiceFrontEndOption,
+    ServiceStoreOption,
     SetOption,
     ZenohConfigOption,
     call,
@@ -102,9 +103,7 @@ def service(
             " 16 slots of tracks only; left out, for the slots of its certificate."
         ),
     ] = None,
-    store: Annotated[
-        str, typer.Option(help="SQLite file of recorder and metrics.", autocompletion=completion.stores)
-    ] = "cogradar.db",
+    store: ServiceStoreOption = "cogradar.db",
     resume: Annotated[
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
@@ -380,6 +379,7 @@ FUNCTIONS: dict[str, Callable[..., None]] = {
     "campaign": cli_campaigns.campaign,
     "sweep": cli_campaigns.sweep,
     "report": cli_campaigns.report,
+    "store": cli_campaigns.store_command,
     "certs": cli_certs.certs,
     "service": service,
     "schema": cli_answers.schema,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,6 +35,7 @@ from cogradar.services.cli.console import (
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.recorder.store.address import SHORT, label, shown
 from cogradar.services.runs.run import as_played
 from cogradar.services.topology import Start
 from cogradar.shared.scenario.files import load
@@ -53,7 +55,9 @@ DaskOption = Annotated[
 ]
 
 # What campaign and sweep have in common.
-ResultsOption = Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)]
+ResultsOption = Annotated[
+    str, typer.Option(help=f"Store of the results: SQLite file, or {SHORT}.", autocompletion=completion.stores)
+]
 StrategiesOption = Annotated[
     str | None, typer.Option(help="Comma-separated; all if left out.", autocompletion=completion.strategies)
 ]
@@ -156,7 +160,7 @@ def sweep(
                 tables.append(differences.table(found, axes, *base))
             remarks = results.remarks(kept, found)
         if into:
-            results.write(Path(into), Path(store).stem, tables, remarks)
+            results.write(Path(into), label(store), tables, remarks)
         files = results.draw(found, axes, Path(folder)) if folder else []
     if as_json:
         print_json(found)
@@ -209,7 +213,7 @@ def report(
         list[str] | None,
         typer.Argument(
             metavar="STORE...",
-            help="SQLite files, each of a campaign or of other complete runs; the newest of build/ if left out.",
+            help="Stores, each of a campaign or of other complete runs; the newest of build/ if left out.",
             autocompletion=completion.stores,
         ),
     ] = None,
@@ -271,7 +275,7 @@ def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, li
         try:
             yield store, experiments(store, Selection.of(chosen))
         except BadInput as error:
-            raise BadInput(f"{file}: {error}") from None
+            raise BadInput(f"{store.journal.path}: {error}") from None
 
 
 def figures(
@@ -279,7 +283,7 @@ def figures(
         str | None,
         typer.Argument(
             metavar="STORE",
-            help="SQLite file of a campaign, or of runs; the newest of build/ if left out.",
+            help="Store of a campaign, or of runs; the newest of build/ if left out.",
             autocompletion=completion.stores,
         ),
     ] = None,
@@ -307,3 +311,29 @@ def figures(
                 raise RunFailed(str(error)) from None
     for file in files:
         out.print(str(file), soft_wrap=True)
+
+
+class StoreAction(StrEnum):
+    """What is to be done with stores."""
+
+    COPY = "copy"
+
+
+def store_command(
+    _action: Annotated[StoreAction, typer.Argument(metavar="copy", show_choices=False, help="Copy a store.")],
+    source: Annotated[str, typer.Argument(help=f"SQLite file, or {SHORT}.", autocompletion=completion.stores)],
+    target: Annotated[str, typer.Argument(help="A new file, or an empty schema of a server.")],
+) -> None:
+    """Copy a store into a new one, from a file to a server, or back.
+
+    What is committed at this moment is copied, read again and compared row by
+    row. All of it is there afterwards, or nothing.
+    """
+    with command() as stop:
+        from cogradar.services.recorder.store.copy import copy
+
+        def check(*_: object) -> None:
+            check_stop(stop)
+
+        counts = copy(source, target, check)
+    say(f"{shown(target)}: {counts['run']} runs, {counts['message']} messages, {sum(counts.values())} rows in all")

@@ -24,6 +24,7 @@ from rich.text import Text
 from cogradar.services.certs import endpoints as written
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
+from cogradar.services.recorder.store.address import SHORT
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.scenario.faults import allowed, printable, printable_lines
 from cogradar.shared.scenario.files import ScenarioError
@@ -73,7 +74,7 @@ def one_source(context: typer.Context, option: typer.CallbackParam, text: str | 
     """A store or an endpoint, of which a command line has only one. Raises BadParameter."""
     sources = [context.get_parameter_source(name) for name in ("store", "connect")]
     if all(source is not None and source.name == "COMMANDLINE" for source in sources):
-        raise typer.BadParameter("--store reads a file, --connect asks services: one of them")
+        raise typer.BadParameter("--store reads a store, --connect asks services: one of them")
     return endpoints(text) if option.name == "connect" else text
 
 
@@ -149,6 +150,14 @@ FrontEndOption = Annotated[str, typer.Option(help=_FRONT_END)]
 ServiceFrontEndOption = Annotated[str, typer.Option(envvar=FRONT_END_VARIABLE, help=f"Emulator: {_FRONT_END}")]
 RunArgument = Annotated[
     str | None, typer.Argument(metavar="RUN", help="As `query runs` shows it; the newest if left out.")
+]
+ServiceStoreOption = Annotated[
+    str,
+    typer.Option(
+        envvar="COGRADAR_STORE",
+        help=f"Recorder and metrics: SQLite file of the runs, or {SHORT}.",
+        autocompletion=completion.stores,
+    ),
 ]
 StoreOption = Annotated[
     str | None,

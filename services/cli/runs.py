@@ -36,6 +36,7 @@ from cogradar.services.cli.console import (
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyOption
 from cogradar.services.errors import BadInput
+from cogradar.services.recorder.store.address import SHORT, shown
 from cogradar.services.runs.run import Result, RunStopped, as_played, ending, program, untold
 from cogradar.services.runs.run import loaded as loadable
 from cogradar.services.topology import Start
@@ -81,7 +82,8 @@ def run(
     ] = 1,
     in_process: Annotated[bool, typer.Option("--in-process", help="Run all in one process, without Zenoh.")] = False,
     store: Annotated[
-        str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
+        str | None,
+        typer.Option(help=f"Keep the run in this SQLite file, or in {SHORT}.", autocompletion=completion.stores),
     ] = None,
     connect: SharedServicesOption = None,
     zenoh_config: ZenohConfigOption = None,
@@ -117,7 +119,7 @@ def run(
             say(text, err)
         rate_hz = rate_of(loaded, pace, rate)
         start = loadable(RunStart.of(loaded, strategy, seed, dwells, rate_hz))
-        show = partial(_show, store=store, endpoint=connect, as_json=as_json)
+        show = partial(_show, store=store if store is None else shown(store), endpoint=connect, as_json=as_json)
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)
             return
@@ -173,7 +175,7 @@ def _show(
 
 def _remarks(*, turns: int, ignores_world: bool, endless: str | None) -> list[str]:
     """What an option means that may have been meant otherwise; endless: the store of a run without an end."""
-    remarks = [] if endless is None else [f"{endless}: {ENDLESS_STORE}"]
+    remarks = [] if endless is None else [f"{shown(endless)}: {ENDLESS_STORE}"]
     remarks += [f"--in-process: {turns} planners take turns in one process"] if turns > 1 else []
     return remarks + (["--front-end: the scenario's [world] is ignored, nothing is simulated"] if ignores_world else [])
 
@@ -263,9 +265,9 @@ def _play_here(
 
 
 def _journal(store: str | None) -> "Journal":
-    """A journal, opened before anything slow: a file that cannot be one, or is in use, is refused at once."""
-    from cogradar.services.recorder.file.schema import MEMORY
+    """A journal, opened before anything slow: a store that cannot be one, or is in use, is refused at once."""
     from cogradar.services.recorder.journal import Journal
+    from cogradar.services.recorder.store.tables import MEMORY
 
     return Journal(store or MEMORY, owner="cogradar run")
 

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from cogradar.services.errors import BadInput
-from cogradar.services.metrics.messages import command, commands, one_run, orders, page, refusal
+from cogradar.services.metrics.messages import command, commands, one_run, orders, page, refusal, utc
 from cogradar.services.metrics.pools import confirmation, consistency
+from cogradar.services.metrics.queries import messages
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected, whole
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
@@ -27,15 +29,10 @@ from cogradar.shared.scoring.figures import Figures, Totals
 from cogradar.shared.wire.codec import BadMessage, fields
 
 Rows = list[dict[str, Any]]
-# When a run began and ended, in UTC, and how long it is by its own clock.
-_CLOCKS = (
-    "strftime('%Y-%m-%dT%H:%M:%SZ', began_s, 'unixepoch') AS began,"
-    " strftime('%Y-%m-%dT%H:%M:%SZ', ended_s, 'unixepoch') AS ended,"
-    " CASE WHEN json_valid(document) THEN acknowledged_t * json_extract(document, '$.radar.motion.dt_s') END"
-    " AS length_s"
-)
+# When a run began and ended, and how long it is by its own clock.
+_CLOCKS = "began_s AS began, ended_s AS ended, acknowledged_t * dt_s AS length_s"
 # What a run that is held waits for.
-NO_ROOM = "the journal: its disk is full, or its file was removed, replaced or made read-only"
+NO_ROOM = "the journal: its disk is full, its file was removed, replaced or made read-only, or its server is away"
 
 
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
@@ -66,7 +63,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
 
 def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows:
     """Sums per group and target. `groups` has the number of the group that each run is in."""
-    return store.read(*sums.query(groups, selection.target, selection.first, selection.last))
+    return store.scored(*sums.query(groups, selection.target, selection.first, selection.last))
 
 
 def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
@@ -100,9 +97,11 @@ def _runs(store: Store, selection: Selection) -> Rows:
         " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, NULL AS fault, digest,"
         f" acknowledged_t AS t, {OLDEST_T} AS oldest_t, {_CLOCKS},"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
-        f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
-        [*values, -1 if selection.limit is None else selection.limit, selection.offset],
+        f" FROM run WHERE {condition} ORDER BY place LIMIT ? OFFSET ?",
+        [*values, selection.most, selection.offset],
     )
+    for row in rows:
+        row |= {"began": utc(row["began"]), "ended": utc(row["ended"])}
     return [row | (_hindered(row, store) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
 
 
@@ -160,10 +159,10 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
         if skip and count[i] <= skip:
             skip -= count[i]
             continue
-        found = store.read(
+        found = store.scored(
             f"SELECT {', '.join(column.name for column in SHOWN)} FROM {store.table(run['run'])}"
             f" WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
-            [run["run"], *values, -1 if room is None else room - len(rows), skip],
+            [run["run"], *values, ALL_ROWS if room is None else room - len(rows), skip],
         )
         of_run = {"run": run["run"], "strategy": run["strategy"]}
         rows += [{**of_run, **row, "cells": json.loads(row["cells"])} for row in found]
@@ -240,7 +239,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, time in the bin, outages, errors, mean SNR, what came late, what was lost."""
     found, lost = Rows(), list[bool | None]()
     has_truth = {run["run"]: run["has_truth"] for run in runs}
-    lives = {(row["run"], row["target"]): row for row in store.read(*sums.lives(list(has_truth)))}
+    lives = {(row["run"], row["target"]): row for row in store.scored(*sums.lives(list(has_truth)))}
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
         means = {name: _mean(row, name) for name in (column.name for column in SCORE if column.mean)}
@@ -289,12 +288,12 @@ def _last_fault(store: Store, picture: dict[str, Any]) -> str | None:
     """Why nothing was measured in the last such dwell; None: there was none, or its scan is not kept."""
     if not picture["unmeasured_dwells"]:
         return None
-    rows = store.read(
-        "SELECT m.payload FROM picture AS p JOIN message AS m ON m.run = p.run AND m.k = p.k AND m.topic = 'scan'"
-        " WHERE p.run = ? AND p.unmeasured > 0 AND p.tested = 0 ORDER BY p.t DESC LIMIT 1",
+    rows = store.scored(
+        "SELECT k FROM picture WHERE run = ? AND unmeasured > 0 AND tested = 0 ORDER BY t DESC LIMIT 1",
         [picture["run"]],
     )
-    return next((fields(row["payload"]).get("fault") for row in rows), None)
+    scans = messages(store, picture["run"], "scan", [row["k"] for row in rows])
+    return next((scan.get("fault") for scan in scans.values()), None)
 
 
 def _antennas(store: Store, selection: Selection, runs: list[Run]) -> Rows:
@@ -311,7 +310,7 @@ def _antennas(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 def figures(store: Store, runs: list[str]) -> dict[str, dict[str, Any]]:
     """What the pictures of these runs come to, by run: `dwells`, the columns of `Figures`, and faults of cells."""
-    return {row["run"]: _figures(row) for row in store.read(*sums.picture(runs))}
+    return {row["run"]: _figures(row) for row in store.scored(*sums.picture(runs))}
 
 
 def _figures(row: dict[str, Any]) -> dict[str, Any]:
@@ -334,9 +333,9 @@ def _pictures(store: Store, parameters: Mapping[str, str]) -> Rows:
     (run,) = one_run(store, parameters)
     store.derive([run["run"]])
     selection = Selection.of(parameters)
-    return store.read(
+    return store.scored(
         "SELECT * FROM picture WHERE run = ? ORDER BY t LIMIT ? OFFSET ?",
-        [run["run"], -1 if selection.limit is None else selection.limit, selection.offset],
+        [run["run"], selection.most, selection.offset],
     )
 
 

@@ -10,19 +10,21 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from typing import Any
 
-from cogradar.services.errors import StoreFailed
+from cogradar.services.errors import StoreFailed, Unreachable
 from cogradar.services.metrics.answers import NO_ROOM, answer
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
-from cogradar.services.recorder.file.lock import inode_in_use, is_written
-from cogradar.services.recorder.file.schema import NoStoreYet
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.address import is_server
+from cogradar.services.recorder.store.followed import Followed
+from cogradar.services.recorder.store.tables import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message
 from cogradar.shared.wire.meter import Measures
+from cogradar.shared.wire.queries import NotNow
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
 COMMANDED_S = 5.0  # for which a command is sent again
@@ -35,8 +37,9 @@ class MetricsCore:
 
     def __init__(self, path: str) -> None:
         """Follow the journal in this file, from when it is there on. Raises BadInput if it is something else."""
-        self._path = path
-        self._file: tuple[int, int] | None = None  # that is open: device, inode
+        self._path, self._followed = path, Followed(path)
+        self._open: object | None = None  # the identity of the store that is open
+        self._away = ""  # why a server does not answer
         self.store = in_memory()  # holds no run: there is no journal yet
         self.gather: Callable[[], Gathered] | None = None  # asks all processes; None: there is no router yet
         self.tick_s: float | None = None  # of the last tick
@@ -50,25 +53,15 @@ class MetricsCore:
     @property
     def is_open(self) -> bool:
         """Whether there is a journal."""
-        return self._file is not None
+        return self._open is not None
 
     @property
     def trouble(self) -> str:
         """What keeps the journal from being written, as far as it is seen from here; "": nothing."""
-        if self._file is None:
+        if self._open is None:
             return ""
-        try:
-            status = Path(self._path).stat()
-        except OSError as error:
-            fault = "was removed" if isinstance(error, FileNotFoundError) else f"{error.strerror}"
-            return f"held: {self._path} {fault}"
-        fault = ""
-        if inode_in_use(self._path) not in {None, status.st_ino}:
-            fault = "was replaced, its recorder has another file open"
-        elif not status.st_mode & 0o222:
-            fault = "was made read-only"
-        if fault and is_written(self._path):  # else it is a copy, or what is kept
-            return f"held: {self._path} {fault}"
+        if fault := self._away or self._followed.trouble():
+            return f"held: {fault}"
         return NO_ROOM if self.store.held else ""
 
     @property
@@ -114,6 +107,7 @@ class MetricsCore:
             case Tick():
                 self.tick_s = event.now_s
                 self._reopen()
+                self._look()
                 if self._behind and self.store.derive(self._behind[-1:], FOLLOW_DWELLS):
                     self._behind.pop()
             case Checkpoint():
@@ -133,41 +127,55 @@ class MetricsCore:
             self._advanced[checkpoint.run] = checkpoint.k, time.monotonic()
 
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
-        """Answer a query with JSON."""
+        """Answer a query with JSON. Raises NotNow while a server does not answer."""
         self._reopen()
-        return json.dumps(answer(self.store, metric, parameters)).encode()
+        try:
+            return json.dumps(answer(self.store, metric, parameters)).encode()
+        except Unreachable as error:
+            raise NotNow(str(error)) from None
 
     def measures(self) -> Measures:
         """How many runs there are, what those that go on come to, and how much room they take."""
         self._reopen()
-        statuses = self.store.read("SELECT status, COUNT(*) AS n FROM run GROUP BY status")
-        (snapshots,) = self.store.read("SELECT COALESCE(SUM(LENGTH(payload)), 0) AS n FROM snapshot")
-        now_s, files = time.monotonic(), [Path(self._path + end) for end in ("", "-wal")]
-        return {
-            "runs": {row["status"]: row["n"] for row in statuses},
-            "journal_bytes": sum(file.stat().st_size for file in files if file.exists()),
-            "snapshot_bytes": snapshots["n"],
+        now_s = time.monotonic()
+        own: dict[str, Any] = {
             "dwell_age_seconds": max((now_s - since_s for _, since_s in self._advanced.values()), default=0.0),
             **live.measures(self.store.newest.values()),
         }
+        try:
+            statuses = self.store.read("SELECT status, COUNT(*) AS n FROM run GROUP BY status")
+            (snapshots,) = self.store.read("SELECT COALESCE(SUM(LENGTH(payload)), 0) AS n FROM snapshot")
+            n_byte = self.store.journal.n_byte()
+        except Unreachable:  # what is not known is not there, rather than nothing at all
+            return own
+        runs = {row["status"]: row["n"] for row in statuses}
+        return own | {"runs": runs, "journal_bytes": n_byte, "snapshot_bytes": snapshots["n"]}
 
     def close(self) -> None:
         """Close the journal."""
         self.store.close()
 
     def _reopen(self) -> None:
-        """Open the file if it is there by now, or if another one has been put in its place."""
-        try:
-            status = Path(self._path).stat()
-        except FileNotFoundError:
-            return
-        if self._file == (status.st_dev, status.st_ino):
+        """Open the journal if it is there by now, or if another one has been put in its place."""
+        if (found := self._followed.identity()) in {None, self._open}:
             return
         try:
             store = Store(Journal(self._path, read_only=True))
-        except NoStoreYet:
+        except NoStoreYet as error:
+            if is_server(self._path) and str(error) != self._away:  # a file may be there soon, this may be a mistake
+                self._away = str(error)
+                log.warning("there is no journal yet: %s", error)
             return
-        before, self.store, self._file = self.store, store, (status.st_dev, status.st_ino)
+        before, self.store, self._open = self.store, store, found
         before.close()
-        self._behind = [row["run"] for row in store.read("SELECT run FROM run ORDER BY rowid")]  # the newest first
-        log.info("following %s", self._path)
+        self._behind = [row["run"] for row in store.read("SELECT run FROM run ORDER BY place")]  # the newest first
+        log.info("following %s", store.journal.path)
+
+    def _look(self) -> None:
+        """Look whether a server answers. Raises StoreFailed."""
+        try:
+            self.store.journal.check_place()
+        except Unreachable as error:
+            self._away = str(error)
+            raise
+        self._away = ""

@@ -49,7 +49,7 @@ class Experiment:
         """Columns of the scores of a strategy's runs, (n_run, dwells, n_target, n_column). Raises BadInput."""
         tables = []
         for run in self.of(strategy):
-            rows = store.read(f"SELECT {columns} FROM score WHERE run = ? ORDER BY t, target", [run["run"]])
+            rows = store.scored(f"SELECT {columns} FROM score WHERE run = ? ORDER BY t, target", [run["run"]])
             if len(rows) != self.dwells * run["n_target"]:
                 raise BadInput(f"{run['run']} lacks dwells, which were lost in real time: choose other runs")
             tables.append(np.array([tuple(row.values()) for row in rows], dtype=np.float64))

@@ -3,6 +3,7 @@
 import base64
 import json
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
@@ -10,8 +11,8 @@ from typing import Any
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected, whole
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import order_of
+from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import OF_TRACK, Accuracy, Look, Order, SectorSearch, Setting, in_force
 from cogradar.shared.protocol.topics import BY_MESSAGE
@@ -25,10 +26,15 @@ PAGE_BYTES = 1 << 20  # of payloads; a page that has so many is ended,
 AT_ONCE = 16  # ... after so many dwells, which are read at a time
 OPEN = "open"  # as the state that is asked for: what is not over and was not refused
 NEWEST_DWELLS = 32  # in which the newest waveform is looked for: without one, the allocator is away
-_COLUMNS = (
-    "run, n, asker AS 'by', strftime('%Y-%m-%dT%H:%M:%SZ', asked_s, 'unixepoch') AS asked, action,"
-    " k, reason, id, over_k"
-)
+_COLUMNS = 'run, n, asker AS "by", asked_s AS asked, action, k, reason, id, over_k'
+
+
+def utc(seconds: Any) -> str | None:
+    """Seconds since 1970 as a date with its time; None of what a store cannot mean: it may come from anywhere."""
+    try:
+        return f"{datetime.fromtimestamp(int(seconds), UTC):%Y-%m-%dT%H:%M:%SZ}"
+    except (TypeError, ValueError, OverflowError, OSError):
+        return None
 
 
 def one_run(store: Store, parameters: Mapping[str, str]) -> list[Run]:
@@ -119,7 +125,7 @@ def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     return []
 
 
-def _rows(store: Store, run: Run, condition: str = "1", values: Sequence[str] = ()) -> list[Run]:
+def _rows(store: Store, run: Run, condition: str = "TRUE", values: Sequence[str] = ()) -> list[Run]:
     """list[Run] of `commands` of one run."""
     query = f"SELECT {_COLUMNS} FROM command WHERE run = ? AND {condition} ORDER BY n"
     rows = store.read(query, [run["run"], *values])
@@ -156,6 +162,7 @@ def _row(run: Run, row: dict[str, Any], newest_k: int, unmet: Mapping[int, str],
             state, row["reason"] = "not met", unmet[row["n"]]
     action = _order(run["run"], {"n": row["n"], "k": 0, "action": row["action"]}).action
     t = None if None in {row["k"], run["acquisition_scans"]} else row["k"] + 1 - run["acquisition_scans"]
+    row["asked"] = utc(row["asked"])
     return row | {"t": t, "action": text_of(action), "state": state}
 
 

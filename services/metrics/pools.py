@@ -34,7 +34,7 @@ def confirmation(store: Store, runs: Sequence[Run]) -> Discovery:
     """How soon the visible targets of runs of an unknown number got a confirmed track."""
     names = [run["run"] for run in runs]
     store.derive(names)
-    query = "SELECT run, json_extract(document, '$.radar.motion.dt_s') AS dt_s FROM run"
+    query = "SELECT run, dt_s FROM run"
     dt_s = {row["run"]: row["dt_s"] for row in store.read(query)}
-    lives = [row for row in store.read(*sums.lives(names)) if row["visible_t"] is not None]
+    lives = [row for row in store.scored(*sums.lives(names)) if row["visible_t"] is not None]
     return Discovery.of([(row["visible_t"], row["confirmed_t"], row["visible"], dt_s[row["run"]]) for row in lives])

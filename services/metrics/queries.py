@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.wire.codec import fields
 
 Row = dict[str, Any]
@@ -17,7 +19,8 @@ _PICTURE = (
     " sqrt(localisation_km2) AS gospa_localisation_km, sqrt(missed_km2) AS gospa_missed_km,"
     " sqrt(false_km2) AS gospa_false_km"
 )
-# Each dwell is sought, however many targets or messages there are between them.
+AT_ONCE = 512  # messages that are sought with one statement
+# Each dwell is sought, however many targets there are between them.
 _AT_DWELLS = "FROM json_each(?) AS dwell CROSS JOIN"
 
 
@@ -35,16 +38,16 @@ def progress(store: Store, run: str) -> Row | None:
 def running(store: Store, most: int) -> list[Row]:
     """The newest runs that go on: run, n_track, is_unknown, and their newest durable scan."""
     return store.read(
-        "SELECT run, n_track, json_extract(document, '$.radar.tracks') = 'unknown' AS is_unknown, (SELECT payload"
+        "SELECT run, n_track, n_track IS NULL AS is_unknown, (SELECT payload"
         " FROM message AS m WHERE m.run = run.run AND m.k = acknowledged_k - 1 AND m.topic = 'scan') AS scan"
-        " FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?",
+        " FROM run WHERE status = 'running' ORDER BY place DESC LIMIT ?",
         [most],
     )
 
 
-def pictures(store: Store, run: str, first: int, last: int, most: int = -1) -> list[Row]:
+def pictures(store: Store, run: str, first: int, last: int, most: int = ALL_ROWS) -> list[Row]:
     """k, t and the air picture of dwells that have scores."""
-    return store.read(
+    return store.scored(
         f"SELECT k, t, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
         [run, first, last, most],
     )
@@ -52,13 +55,13 @@ def pictures(store: Store, run: str, first: int, last: int, most: int = -1) -> l
 
 def ends(store: Store, run: str) -> tuple[int, int] | None:
     """The first and the last dwell with scores; None without any."""
-    row = _first(store.read("SELECT MIN(t) AS a, MAX(t) AS b FROM picture WHERE run = ? HAVING MAX(t)", [run]))
+    row = _first(store.scored("SELECT MIN(t) AS a, MAX(t) AS b FROM picture WHERE run = ? HAVING MAX(t)", [run]))
     return None if row is None else (row["a"], row["b"])
 
 
 def targets(store: Store, run: str, first: int, last: int, columns: Sequence[str]) -> list[Row]:
     """t, these columns and `lost` of all targets, in the order of dwell and target."""
-    return store.read(
+    return store.scored(
         f"SELECT t, {', '.join(columns)}, {sums.IS_LOST} AS lost FROM {store.table(run)}"
         " WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target",
         [run, first, last],
@@ -68,13 +71,13 @@ def targets(store: Store, run: str, first: int, last: int, columns: Sequence[str
 def track_of(store: Store, run: str, target: int, t: int) -> int | None:
     """The track that follows a target in a dwell."""
     query = f"SELECT track FROM {store.table(run)} WHERE run = ? AND t = ? AND target = ?"
-    row = _first(store.read(query, [run, t, target]))
+    row = _first(store.scored(query, [run, t, target]))
     return None if row is None else row["track"]
 
 
 def target_course(store: Store, run: str, target: int, ts: Sequence[int]) -> list[Row]:
     """A target and its track in these dwells, as far as there are scores."""
-    return store.read(
+    return store.scored(
         "SELECT k, t, track, share, snr_db, detected, late, stale, x, y, z,"
         f" sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km {_AT_DWELLS} {store.table(run)} AS s"
         " ON s.run = ? AND s.t = dwell.value AND s.target = ?",
@@ -95,7 +98,7 @@ def target_numbers(
 
 def followed_by(store: Store, run: str, track: int, ts: Sequence[int]) -> dict[int, Row]:
     """The target that a track follows, by dwell t."""
-    rows = store.read(
+    rows = store.scored(
         f"SELECT t, target, x, y {_AT_DWELLS} {store.table(run)} AS s"
         " ON s.run = ? AND s.t = dwell.value AND s.track = ?",
         [json.dumps(ts), run, track],
@@ -105,21 +108,30 @@ def followed_by(store: Store, run: str, track: int, ts: Sequence[int]) -> dict[i
 
 def track_dwells(store: Store, run: str, track: int, first: int, last: int) -> list[Row]:
     """k and t of the dwells in which there is a plan of a track."""
-    return store.read(
-        "SELECT p.k, p.t FROM picture AS p CROSS JOIN message AS m ON m.run = p.run AND m.k = p.k AND m.topic = 'plan'"
-        " AND m.item = ? WHERE p.run = ? AND p.t BETWEEN ? AND ? ORDER BY p.t",
-        [track, run, first, last],
-    )
+    dwells = store.scored("SELECT k, t FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t", [run, first, last])
+    planned = stored(store, run, "plan", [row["k"] for row in dwells], track, "k")
+    there = {row["k"] for row in planned}
+    return [row for row in dwells if row["k"] in there]
 
 
 def messages(store: Store, run: str, topic: str, ks: Sequence[int], item: int = 0) -> dict[int, Any]:
     """Fields of the messages of these dwells that are stored, by dwell k."""
-    rows = store.read(
-        f"SELECT m.k, m.payload {_AT_DWELLS} message AS m"
-        " ON m.run = ? AND m.k = dwell.value AND m.topic = ? AND m.item = ?",
-        [json.dumps(list(ks)), run, topic, item],
-    )
-    return {row["k"]: fields(row["payload"]) for row in rows}
+    return {row["k"]: fields(row["payload"]) for row in stored(store, run, topic, ks, item, "k, payload")}
+
+
+def stored(store: Store, run: str, topic: str, ks: Sequence[int], item: int, columns: str) -> list[Row]:
+    """Columns of the messages of these dwells that are stored: each is sought, whatever there is between them."""
+    found = list[Row]()
+    for at in range(0, len(ks), AT_ONCE):
+        some = ks[at : at + AT_ONCE]
+        query = f"SELECT {columns} FROM message WHERE run = ? AND topic = ? AND item = ? AND k IN ({_marks(len(some))})"
+        found += store.read(query, [run, topic, item, *some])
+    return found
+
+
+@cache
+def _marks(n: int) -> str:
+    return ",".join("?" * n)
 
 
 def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes | None:
@@ -134,16 +146,16 @@ def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes
 
 def timeline(store: Store, run: str, width: int) -> list[Row]:
     """A run of a known number of tracks in buckets of dwells (`sums.timeline`)."""
-    rows = store.read(*sums.timeline(run, store.table(run), width))
+    rows = store.scored(*sums.timeline(run, store.table(run), width))
     if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
-        (now,) = store.read(*sums.lost(run, store.table(run), rows[-1]["last"]))
+        (now,) = store.scored(*sums.lost(run, store.table(run), rows[-1]["last"]))
         rows[-1] |= now
     return [row | {"missed": None, "swaps": None, "gospa_km": None} for row in rows]
 
 
 def picture_timeline(store: Store, run: str, width: int) -> list[Row]:
     """A run of an unknown number of tracks in buckets of dwells: all tracks and targets together."""
-    return store.read(
+    return store.scored(
         "SELECT MIN(t) AS first, MAX(t) AS last, NULL AS detected, NULL AS lost, NULL AS late, NULL AS stale,"
         " sqrt(SUM(localisation_km2) / SUM(followed)) AS error_km,"
         " 1.0 - 1.0 * SUM(followed) / SUM(targets) AS missed, SUM(swaps) AS swaps,"

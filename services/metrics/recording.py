@@ -3,7 +3,7 @@
 from typing import Any
 
 from cogradar.services.metrics.store import Store
-from cogradar.services.recorder.file.schema import Recording
+from cogradar.services.recorder.store.tables import Recording
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:
@@ -21,8 +21,8 @@ def take(store: Store, run: str) -> Recording | None:
     # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
     n_scan, taken = row["acquisition_scans"], snapshots(row["dwells"])
     messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
-    scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
-    picture = store.read("SELECT * FROM picture WHERE run = ? ORDER BY t", [run])
+    scores = store.scored("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
+    picture = store.scored("SELECT * FROM picture WHERE run = ? ORDER BY t", [run])
     return Recording(row, scores, picture, messages)
 
 

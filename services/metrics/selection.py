@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.plugins.names import N_HASH, may_be_own, names_of
 from cogradar.shared.scenario.radar_config import Strategy
@@ -18,7 +19,9 @@ GUESSES = 1000  # runs among which one of a similar name is looked for
 Run = dict[str, Any]  # a row of the table `run`, without its document
 
 # The oldest dwell that is kept of a run without an end; of others the first.
-OLDEST_T = "MAX(kept_k - COALESCE(acquisition_scans, 0) + 1, 1)"
+OLDEST_T = (
+    "CASE WHEN kept_k > COALESCE(acquisition_scans, 0) THEN kept_k - COALESCE(acquisition_scans, 0) + 1 ELSE 1 END"
+)
 _RUN = (
     "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, n_track, has_truth, status, reason, conflicts,"
     " digest, acquisition_scans, acknowledged_k AS k, acknowledged_t AS t,"
@@ -27,7 +30,7 @@ _RUN = (
 # Of runs that were asked to be the same, the newest complete one is the first, else the newest.
 _RANKS = (
     ", DENSE_RANK() OVER (ORDER BY document, dwells) AS experiment, ROW_NUMBER() OVER"
-    " (PARTITION BY document, strategy, seed, dwells ORDER BY status = 'complete' DESC, rowid DESC) AS repetition"
+    " (PARTITION BY document, strategy, seed, dwells ORDER BY status = 'complete' DESC, place DESC) AS repetition"
 )
 
 
@@ -77,20 +80,30 @@ class Selection:
     @property
     def of_runs(self) -> tuple[str, list[str | int]]:
         """SQL condition on the rows of `run`, and its values."""
-        either = f"? IN (strategy, substr(strategy, 1, length(strategy) - {N_HASH + 1}))"  # also without its hash
-        is_it = {"strategy": either}
-        terms = [is_it.get(name, f"{name} = ?") for name in self.filters]
-        return " AND ".join(["1", *terms]), list(self.filters.values())
+        terms, values = ["TRUE"], list[str | int]()
+        for name, value in self.filters.items():
+            if name == "strategy" and isinstance(value, str):  # also without its hash
+                terms.append("(strategy = ? OR (length(strategy) = ? AND substr(strategy, 1, ?) = ?))")
+                values += [value, len(value) + N_HASH + 1, len(value), value]
+            else:
+                terms.append(f"{name} = ?")
+                values.append(value)
+        return " AND ".join(terms), values
 
     @property
     def of_scores(self) -> tuple[str, list[int]]:
         """SQL condition on the rows of `score`, and its values."""
-        terms, values = ["1"], list[int]()
+        terms, values = ["TRUE"], list[int]()
         for term, value in (("target = ?", self.target), ("t >= ?", self.first), ("t <= ?", self.last)):
             if value is not None:
                 terms.append(term)
                 values.append(value)
         return " AND ".join(terms), values
+
+    @property
+    def most(self) -> int:
+        """Rows that are asked for, at most."""
+        return ALL_ROWS if self.limit is None else self.limit
 
     def page(self, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows that are asked for."""
@@ -104,7 +117,7 @@ def distinct(store: Store, selection: Selection) -> list[Run]:
     random numbers twice. Runs of one scenario document and number of dwells have one number as their `experiment`.
     """
     condition, values = selection.of_runs
-    runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY rowid", values)
+    runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY place", values)
     return [run for run in runs if run["repetition"] == 1]
 
 
@@ -117,7 +130,7 @@ def selected(store: Store, selection: Selection) -> list[Run]:
         runs = distinct(store, selection)
     else:
         condition, values = selection.of_runs
-        newest = f"WHERE {condition} ORDER BY acknowledged_t > 0 DESC, rowid DESC LIMIT 1"
+        newest = f"WHERE {condition} ORDER BY acknowledged_t > 0 DESC, place DESC LIMIT 1"
         runs = store.read(f"{_RUN}, 0 AS experiment FROM run {newest}", values)
     if runs:
         _check(selection, runs)
@@ -137,7 +150,7 @@ def whole(metric: str, selection: Selection) -> None:
 
 def _meant(store: Store, column: str, text: str | None) -> str:
     """The name of a run or a scenario, among the newest, that was probably meant."""
-    newest = store.read(f"SELECT DISTINCT {column} AS name FROM run ORDER BY rowid DESC LIMIT {GUESSES}")
+    newest = store.read(f"SELECT {column} AS name FROM run GROUP BY 1 ORDER BY MAX(place) DESC LIMIT {GUESSES}")
     close = get_close_matches(text, [row["name"] for row in newest], n=1) if text is not None else []
     return f" (did you mean {close[0]}?)" if close and close[0] != text else ""
 

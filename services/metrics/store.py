@@ -1,8 +1,9 @@
 """The runs of a journal with their scores. A campaign's store keeps them; of other runs they are derived from messages.
 
 Derived scores lie in temporary tables of this process and never in the journal, which is opened read-only (or is that
-of the same process). The views `score` and `picture` show both kinds. A run is scored as far as it is acknowledged,
-each dwell once.
+of the same process). The views `score` and `picture` show both kinds. Beside a journal on a server they lie in memory,
+with copies of the rows of runs that they need. So nothing is written to the server, which may be a replica, and the
+same statements give the same bits. A run is scored as far as it is acknowledged, each dwell once.
 Any thread may read and derive: one statement, or the scores of AT_ONCE dwells, at a time.
 """
 
@@ -10,7 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import groupby
+from itertools import count, groupby
 from operator import itemgetter
 from typing import Any
 
@@ -20,14 +21,15 @@ from numpy.typing import NDArray
 from cogradar.services.errors import StoreFailed
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
-from cogradar.services.recorder.file.schema import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.services.recorder.store.tables import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: a client that asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
 KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
+KEPT_TABLES = (KEPT, "main.picture")
 
 
 class Store:
@@ -35,6 +37,9 @@ class Store:
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
+        self.scores = journal if journal.has_temporary else Journal(MEMORY)
+        self._copied: set[str] = set()  # runs, from the one to the other
+        self._places = count(1)  # of them
         self._lock = threading.RLock()
         self._scorers: dict[str, Scorer] = {}
         self._finished: set[str] = set()  # runs that have all their scores,
@@ -45,26 +50,37 @@ class Store:
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
-        journal.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
-        journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
-        journal.create_temporary(f"TABLE pictured ({definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID")
-        journal.create_temporary("VIEW picture AS SELECT * FROM main.picture UNION ALL SELECT * FROM temp.pictured")
-        sums.create(journal)
+        self.scores.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
+        self.scores.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
+        self.scores.create_temporary(f"TABLE pictured ({definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID")
+        self.scores.create_temporary("VIEW picture AS SELECT * FROM main.picture UNION ALL SELECT * FROM temp.pictured")
+        sums.create(self.scores)
 
     def close(self) -> None:
         """Close the journal."""
         with self._lock:
             self.journal.close()
+            self.scores.close()
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """Rows of a SELECT, as dictionaries."""
+        """Rows of a SELECT of what is recorded, as dictionaries."""
         with self._lock:
             return self.journal.read(query, parameters)
 
-    def numbers(self, query: str, parameters: Sequence[Any] = ()) -> NDArray[np.float64]:
-        """Columns of a SELECT of numbers, (columns, rows); NaN for NULL."""
+    def scored(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Rows of a SELECT of the scores of runs that were derived, and of these runs' own rows without documents."""
         with self._lock:
-            rows = self.journal.rows(query, parameters)
+            return self.scores.read(query, parameters)
+
+    def all_scores(self, run: str) -> list[dict[str, Any]]:
+        """The scores that a campaign has kept of a run; of another run those that were derived."""
+        kept = self.read("SELECT * FROM main.score WHERE run = ? ORDER BY t, target", [run])
+        return kept or self.scored("SELECT * FROM temp.derived WHERE run = ? ORDER BY t, target", [run])
+
+    def numbers(self, query: str, parameters: Sequence[Any] = ()) -> NDArray[np.float64]:
+        """Columns of such a SELECT of numbers, (columns, rows); NaN for NULL."""
+        with self._lock:
+            rows = self.scores.rows(query, parameters)
         return np.array([tuple(row) for row in rows], dtype=np.float64).T
 
     def table(self, run: str) -> str:
@@ -132,8 +148,9 @@ class Store:
         is_rewound = run in self._scorers and self._scorers[run].k > row["k"]  # the journal was restored
         if is_rewound or run in self._incomplete:
             self._forget(run)
+        self._copy(run, with_scores=row["is_kept"])
         if row["is_kept"]:
-            sums.add(self.journal, KEPT, run, 0)
+            sums.add(self.scores, KEPT, run, 0)
             self._finished.add(run)
             self._kept.add(run)
             return True
@@ -156,6 +173,26 @@ class Store:
             self._finished.add(run)
         return True
 
+    def _copy(self, run: str, *, with_scores: bool) -> None:
+        """Copy the rows of a run that its scores need to where these are, once."""
+        if self.scores is self.journal or run in self._copied:
+            return
+        (row,) = self.journal.read("SELECT * FROM run WHERE run = ?", [run])
+        self._remove_copy(run)
+        # A place may be another run's by now: here it means nothing.
+        self.scores.add_rows("run", [row | {"document": "", "place": next(self._places)}])
+        if with_scores:
+            of_run = "WHERE run = ? ORDER BY t"
+            self.scores.add_scores(
+                *(self.journal.read(f"SELECT * FROM {name} {of_run}", [run]) for name in KEPT_TABLES)
+            )
+        self.scores.commit()
+        self._copied.add(run)
+
+    def _remove_copy(self, run: str) -> None:
+        for table in ("run", *KEPT_TABLES):
+            self.scores.write(f"DELETE FROM {table} WHERE run = ?", run)
+
     def _scorer(self, run: str) -> Scorer:
         if run not in self._scorers:
             start = self.journal.start(run)
@@ -172,19 +209,19 @@ class Store:
         scorer.k = end  # in real time the last ones may be empty
         if found:
             self.newest[run] = found[-1]
-            self.journal.add_temporary(DERIVED, [score for scored in found for score in scored.targets])
-            self.journal.add_temporary("temp.pictured", [scored.picture for scored in found])
-            sums.add(self.journal, DERIVED, run, min(scored.t for scored in found))
+            self.scores.add_temporary(DERIVED, [score for scored in found for score in scored.targets])
+            self.scores.add_temporary("temp.pictured", [scored.picture for scored in found])
+            sums.add(self.scores, DERIVED, run, min(scored.t for scored in found))
 
     def _cut(self, run: str, targets: int, before_k: int) -> None:
         """Forget the scores of the dwells that the journal has cut, by whole blocks of sums."""
         self._cut_k[run] = before_k
-        rows = self.read("SELECT t FROM temp.pictured WHERE run = ? AND k >= ? ORDER BY t LIMIT 1", [run, before_k])
+        rows = self.scored("SELECT t FROM temp.pictured WHERE run = ? AND k >= ? ORDER BY t LIMIT 1", [run, before_k])
         for row in rows:
             block_t = row["t"] // sums.DWELLS * sums.DWELLS
-            self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ? AND t < ?", [(run, block_t)])
-            self.journal.write_temporary("DELETE FROM temp.pictured WHERE run = ? AND t < ?", [(run, block_t)])
-            sums.cut(self.journal, run, targets, block_t)
+            self.scores.write_temporary("DELETE FROM temp.derived WHERE run = ? AND t < ?", [(run, block_t)])
+            self.scores.write_temporary("DELETE FROM temp.pictured WHERE run = ? AND t < ?", [(run, block_t)])
+            sums.cut(self.scores, run, targets, block_t)
 
     def _forget(self, run: str) -> None:
         self.forgotten[run] += 1
@@ -195,9 +232,13 @@ class Store:
         self._cut_k.pop(run, None)
         self.unreadable.pop(run, None)
         self.held.discard(run)
-        self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
-        self.journal.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
-        sums.remove(self.journal, run)
+        self.scores.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
+        self.scores.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
+        sums.remove(self.scores, run)
+        if run in self._copied:
+            self._copied.discard(run)
+            self._remove_copy(run)
+            self.scores.commit()
         self._incomplete.discard(run)
 
 

@@ -11,12 +11,12 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import BY_USER
-from cogradar.services.recorder.file.database import deposed
-from cogradar.services.recorder.file.schema import MAX_COMMANDS
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
+from cogradar.services.recorder.store.database import deposed
+from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,

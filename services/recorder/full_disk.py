@@ -1,7 +1,8 @@
 """The recorder whose journal cannot be written: it holds all runs, says so, and goes on as soon as it can.
 
-The disk is full, or the file was removed, replaced or made read-only. If the same file is back, nothing was lost. One
-in its place lacks what was acknowledged: a recorder that is started anew begins from it, as from any older journal.
+The disk is full, the file was removed, replaced or made read-only, or the server is away. If the same file is back,
+nothing was lost. One in its place lacks what was acknowledged: a recorder that is started anew begins from it, as from
+any older journal.
 
 What was not committed when the disk was full is undone, and its sender has kept it. So the recorder ends there, as
 if it had been killed, and another one begins where the journal is: the same way back as from any other fault. Runs in
@@ -20,6 +21,7 @@ from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refu
 from cogradar.shared.wire.meter import Measures
 
 LOOK_TICKS = 4  # between two looks whether there is room again
+LEASE_S = 10.0  # of silence, after which a server gives the journal to another recorder
 log = logging.getLogger(__name__)
 
 
@@ -81,6 +83,7 @@ class Recorder:
         if isinstance(event, Tick) and self._looked % LOOK_TICKS == 0:
             self._journal.check_leads()
             self._journal.check_place()
+            self._journal.expire_after(LEASE_S)
         return core.handle(event)
 
     def _begin(self) -> RecorderCore:
@@ -118,9 +121,12 @@ class Recorder:
     def _held(self) -> Sequence[Message]:
         """The last checkpoint of each run that goes on, which says why it does not."""
         answers: list[Message] = []
-        for row in self._journal.read(
-            "SELECT run, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE status = 'running' ORDER BY rowid"
-        ):
+        query = "SELECT run, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE status = 'running' ORDER BY place"
+        try:
+            rows = self._journal.read(query)
+        except NoRoom:  # a server is away: what was granted and is not committed must not be told
+            return ()
+        for row in rows:
             try:
                 start, orders = self._journal.start(row["run"]), self._journal.orders(row["run"])
             except Unreadable:

@@ -1,4 +1,4 @@
-"""The journal of runs, SQLite in WAL mode: every message as it was sent, and how far each run is acknowledged.
+"""The journal of runs, in a file or on a server: every message as it was sent, and how far each run is acknowledged.
 
 One process writes it, under a lock. What it writes is durable when `commit` returns. Any number of processes read it
 meanwhile, and see what is committed.
@@ -6,18 +6,21 @@ meanwhile, and see what is committed.
 
 import json
 import math
+import time
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from cogradar.services.errors import INTERRUPTED, StoreFailed
-from cogradar.services.recorder.file.database import Database
-from cogradar.services.recorder.file.schema import Recording
+from cogradar.services.recorder.store.database import Database
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.trajectories.rows import Rows
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
+PAGE = 4096  # messages that are read at a time; a dwell has fewer, as a rule
+_PLACE = "(SELECT COALESCE(MAX(place), 0) + 1 FROM run)"  # after all others
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
 
 
@@ -53,10 +56,11 @@ class Journal(Database):
         n_target = (n_track or 0) if world is None else len(world["targets"])
         document, strategy = json.dumps(start.scenario, sort_keys=True, default=Rows.tolist), start.strategy.value
         self.write(
-            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, n_track,"
-            " has_truth, began_s) VALUES (?,?,?,?,?,?,?,?,?,?,strftime('%s'))",
-            *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells, start.rate_hz),
-            *(n_target, n_track, world is not None),
+            "INSERT INTO run (run, place, scenario, document, strategy, seed, dwells, dt_s, rate_hz, n_target, n_track,"
+            f" has_truth, began_s) VALUES (?,{_PLACE},?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT (run) DO NOTHING",
+            *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells),
+            *(start.scenario["radar"]["motion"]["dt_s"], start.rate_hz, n_target, n_track, int(world is not None)),
+            _now_s(),
         )
 
     def acknowledge(self, run: str, k: int, t: int) -> None:
@@ -74,14 +78,13 @@ class Journal(Database):
         if keep.runs is None and keep.days is None:
             return
         query = (
-            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth"
-            " FROM run WHERE status IN ('complete', 'failed'))"
-            " WHERE ended_s <= strftime('%s') - ? AND (nth > ? OR ended_s < strftime('%s') - ?)"
+            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, place DESC) AS nth"
+            " FROM run WHERE status IN ('complete', 'failed')) AS ended WHERE ended_s <= ? AND (nth > ? OR ended_s < ?)"
         )
         runs = math.inf if keep.runs is None else keep.runs
         seconds = math.inf if keep.days is None else keep.days * 86400.0
-        for row in self.read(query, [keep.grace_s, runs, seconds]):
-            self.write("INSERT OR IGNORE INTO dropped VALUES (?)", row["run"])
+        for row in self.read(query, [_now_s() - keep.grace_s, runs, _now_s() - seconds]):
+            self.write("INSERT INTO dropped VALUES (?) ON CONFLICT DO NOTHING", row["run"])
             self.write("DELETE FROM command WHERE run = ?", row["run"])
             self.write("DELETE FROM run WHERE run = ?", row["run"])
 
@@ -108,9 +111,9 @@ class Journal(Database):
         (ended,) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
         if ended[0] is not None:
             self.write(
-                "DELETE FROM command WHERE run = ?1 AND n <= ?2 AND (k IS NULL OR over_k <= ?3)"
-                " AND n < (SELECT MAX(n) FROM command WHERE run = ?1)",
-                *(run, ended[0], before_k),
+                "DELETE FROM command WHERE run = ? AND n <= ? AND (k IS NULL OR over_k <= ?)"
+                " AND n < (SELECT MAX(n) FROM command WHERE run = ?)",
+                *(run, ended[0], before_k, run),
             )
         return int(row[0])
 
@@ -132,14 +135,15 @@ class Journal(Database):
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
-        return self.write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", run, k, topic, item, payload) == 1
+        query = "INSERT INTO message VALUES (?,?,?,?,?) ON CONFLICT DO NOTHING"
+        return self.write(query, run, k, topic, item, payload) == 1
 
     def add_command(self, command: Command, n: int, k: int | None, reason: str) -> None:
         """Record a command: granted from dwell k on, or refused."""
         action = json.dumps(command.action.model_dump())
         self.write(
-            "INSERT INTO command (run, n, id, asker, asked_s, action, k, reason) VALUES (?,?,?,?,strftime('%s'),?,?,?)",
-            *(command.run, n, command.id, command.by, action, k, reason),
+            "INSERT INTO command (run, n, id, asker, asked_s, action, k, reason) VALUES (?,?,?,?,?,?,?,?)",
+            *(command.run, n, command.id, command.by, _now_s(), action, k, reason),
         )
 
     def end_order(self, run: str, n: int, over_k: int) -> None:
@@ -150,30 +154,41 @@ class Journal(Database):
         """Record what a track was after dwell k, in place of what is older; what is newer stays."""
         self.write(
             "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
-            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > k",
+            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > snapshot.k",
             *(run, target, k, payload),
         )
 
     def drop_snapshots(self, run: str, tracks: Collection[int]) -> None:
         """Drop the snapshots of all tracks but these, counted from 1."""
-        marks = ",".join("?" * len(tracks))
-        self.write(f"DELETE FROM snapshot WHERE run = ? AND target NOT IN ({marks})", run, *tracks)
+        others = f" AND target NOT IN ({','.join('?' * len(tracks))})" if tracks else ""
+        self.write(f"DELETE FROM snapshot WHERE run = ?{others}", run, *tracks)
 
     def add_recording(self, recording: Recording, place: int) -> None:
         """Add a finished run, durably: all of it or nothing. Changes nothing if the run is there.
 
         `place` orders the runs of the store, whatever the order in which they are added.
         """
-        row = {"rowid": place} | recording.run
+        row = recording.run | {"place": place}
+        columns, marks = ", ".join(row), ",".join("?" * len(row))
         try:
-            if self._insert("OR IGNORE INTO run", [row]):
-                self._insert("INTO main.score", recording.scores)
-                self._insert("INTO main.picture", recording.picture)
-                self._insert("INTO message", recording.messages)
+            if self.write(f"INSERT INTO run ({columns}) VALUES ({marks}) ON CONFLICT (run) DO NOTHING", *row.values()):
+                self.add_scores(recording.scores, recording.picture)
+                self.add_rows("message", recording.messages)
             self.commit()
         except StoreFailed:
             self.rollback()
             raise
+
+    def add_scores(self, scores: Sequence[dict[str, Any]], picture: Sequence[dict[str, Any]]) -> None:
+        """Add the scores of a run, and its air pictures."""
+        self.add_rows("main.score", scores)
+        self.add_rows("main.picture", picture)
+
+    def add_rows(self, table: str, rows: Sequence[dict[str, Any]]) -> None:
+        """Add rows of equal columns to a table."""
+        for first in rows[:1]:
+            statement = f"INSERT INTO {table} ({', '.join(first)}) VALUES ({','.join('?' * len(first))})"
+            self.write_many(statement, [tuple(row.values()) for row in rows])
 
     def set_campaign(self, document: dict[str, Any]) -> None:
         """Record, durably, what the campaign of this store is asked to be."""
@@ -196,9 +211,17 @@ class Journal(Database):
         marks, end = ",".join("?" * len(topics)), 2**31 if to_k is None else to_k
         query = (
             f"SELECT k, topic, payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
-            " ORDER BY k, topic, item"
+            " ORDER BY k, topic, item LIMIT ?"
         )
-        yield from map(tuple, self.each(query, (run, from_k, end, *topics)))
+        most = PAGE
+        while len(rows := self.rows(query, (run, from_k, end, *topics, most))) == most:  # there may be more
+            last_k = rows[-1][0]  # of which some messages may be missing
+            if last_k == from_k:
+                most *= 2
+                continue
+            yield from (tuple(row) for row in rows if row[0] < last_k)
+            from_k, most = last_k, PAGE
+        yield from map(tuple, rows)
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
@@ -213,8 +236,8 @@ class Journal(Database):
     def extent(self, run: str) -> tuple[int, int]:
         """Bytes of the messages of a run, and the oldest dwell that was not cut."""
         query = (
-            "SELECT (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE run = ?1), kept_k FROM run"
-            " WHERE run = ?1"
+            "SELECT (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE message.run = run.run), kept_k"
+            " FROM run WHERE run = ?"
         )
         return next(((row[0], row[1]) for row in self.rows(query, (run,))), (0, 0))
 
@@ -236,14 +259,13 @@ class Journal(Database):
 
     def commands(self, run: str, id_: str) -> tuple[int, int, bool]:
         """The last number of a run's commands, how many there are, and whether this one is among them."""
-        is_known = "EXISTS (SELECT 1 FROM command WHERE run = ?1 AND id = ?2)"
-        query = f"SELECT COALESCE(MAX(n), 0), COUNT(*), {is_known} FROM command WHERE run = ?1"
-        (row,) = self.rows(query, [run, id_])
+        query = "SELECT COALESCE(MAX(n), 0), COUNT(*), COUNT(CASE WHEN id = ? THEN 1 END) FROM command WHERE run = ?"
+        (row,) = self.rows(query, [id_, run])
         return int(row[0]), int(row[1]), bool(row[2])
 
     def unfinished(self) -> list[str]:
         """Runs that have begun and not ended, in the order in which they began."""
-        return [row["run"] for row in self.read("SELECT run FROM run WHERE status = 'running' ORDER BY rowid")]
+        return [row["run"] for row in self.read("SELECT run FROM run WHERE status = 'running' ORDER BY place")]
 
     def campaign(self) -> dict[str, Any] | None:
         """What the campaign of this store was asked to be, None if it holds none."""
@@ -252,17 +274,9 @@ class Journal(Database):
 
     def _end(self, condition: str, values: tuple[str, ...], status: str, reason: str, digest: str | None) -> None:
         self.write(f"DELETE FROM snapshot WHERE run IN (SELECT run FROM run WHERE {condition})", *values)
-        self.write(
-            f"UPDATE run SET status = ?, reason = ?, digest = ?, ended_s = strftime('%s') WHERE {condition}",
-            status,
-            reason,
-            digest,
-            *values,
-        )
+        query = f"UPDATE run SET status = ?, reason = ?, digest = ?, ended_s = ? WHERE {condition}"
+        self.write(query, status, reason, digest, _now_s(), *values)
 
-    def _insert(self, where: str, rows: Sequence[dict[str, Any]]) -> int:
-        """Insert rows, each by its columns; returns how many were."""
-        return sum(
-            self.write(f"INSERT {where} ({', '.join(row)}) VALUES ({','.join('?' * len(row))})", *row.values())
-            for row in rows
-        )
+
+def _now_s() -> int:
+    return int(time.time())

@@ -13,6 +13,7 @@ from cogradar.services.certs import own
 from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
 from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.address import is_server
 from cogradar.services.runs.cancel import cancelled_unless_over
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Ask, Progress, Result, RunStopped, program, progress, result, so_far
@@ -88,7 +89,7 @@ def _tidied(store: str | None) -> Iterator[None]:
     try:
         yield
     finally:
-        if store is not None and Path(store).exists():
+        if store is not None and not is_server(store) and Path(store).exists():
             with suppress(Failure):  # somebody else has it by now
                 Journal(store, owner="cogradar run").close()
 

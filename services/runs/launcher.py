@@ -17,6 +17,7 @@ from typing import Protocol, Self
 
 from cogradar.services.certs.names import ALLOWED, SETTINGS
 from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.recorder.store.address import Address, is_server, shown
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.services.web.address import inherited, listen, url
 from cogradar.shared.protocol.topics import Role
@@ -41,7 +42,7 @@ class LocalProcesses:
     """The processes of a system on this machine, and what they are given."""
 
     planners: int
-    store: str | None = None  # file of the journal; None: one that goes with them
+    store: str | None = None  # journal; None: a file that goes with them
     faults: Faults | None = None
     front_end: str = Start.front_end
     http: str = ""  # where metrics serves (`listen` of web.address)
@@ -196,7 +197,9 @@ class Launcher:
         if role is Role.EMULATOR:
             command += ["--front-end", self._given.front_end]
         if role in {Role.RECORDER, Role.METRICS}:
-            command += ["--store", self._given.store or str(Path(self._folder.name, "store.db"))]
+            store = self._given.store or str(Path(self._folder.name, "store.db"))
+            command += ["--store", shown(store)]  # which all users of the machine can read
+            environment |= {"PGPASSWORD": word} if is_server(store) and (word := Address.of(store).password) else {}
         http = [self._http] if role is Role.METRICS and self._http is not None else []
         for listener in http:
             command += ["--http", inherited(listener, self._given.http)]

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from cogradar.services.recorder.file.schema import failure
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.sqlite import SqliteConnection, failure
 
 _MEMORY = Path("/dev/shm")  # noqa: S108 - no file of a fixed name; a sync costs nothing there
 NO_LIMIT = 2**30  # pages
@@ -199,7 +199,7 @@ class SimulatedJournal(Journal):
         self._disk.after_commit()
         self._wait(self._disk.commit_s)
 
-    def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
+    def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> int:
         if self._disk.count_write():
             if statement == "COMMIT" and self._disk.is_done():
                 super()._execute(statement, parameters)
@@ -208,8 +208,8 @@ class SimulatedJournal(Journal):
 
     def lose_lock(self) -> None:
         """Let another process take the lock, without a word."""
-        if self._lock is not None:
-            self._lock.lose()
+        if isinstance(self._connection, SqliteConnection):
+            self._connection.lose_lock()
 
     def _now_us(self) -> int:
         return self._disk.opened

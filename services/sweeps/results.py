@@ -57,7 +57,7 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
     """A row per variant and strategy, in the order of the grid; None for what no complete run tells."""
     counts = store.read("SELECT scenario, strategy, COUNT(*) AS n FROM run WHERE status = 'failed' GROUP BY 1, 2")
     failed = {(row["scenario"], row["strategy"]): row["n"] for row in counts}
-    played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")
+    played = store.read("SELECT strategy FROM run GROUP BY strategy ORDER BY MIN(place)")
     found = _reports(store)
     return [
         {axis.name: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
@@ -197,7 +197,7 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
 
 def remarks(store: Store, found: Rows) -> list[str]:
     """What the table does not say: how many runs failed, and so are in none of its numbers."""
-    failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY rowid")
+    failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY place")
     total = len(failed) + sum(row["runs"] for row in found)
     return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
 

@@ -190,12 +190,19 @@ def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
             yield reply
 
 
+class NotNow(Exception):
+    """There is no answer at present; the asker hears nothing, as from a process that is not there, and asks again."""
+
+
 def reply(query: zenoh.Query, answer: Answer) -> str:
     """Reply with an answer, or with the reason why there is none; what it came to: answered, refused or failed."""
     try:
         if len(str(query.parameters)) > MAX_QUESTION:
             raise ValueError(f"a question longer than {MAX_QUESTION} characters")
         document = answer(str(query.key_expr).split("/")[-1], parameters(query))
+    except NotNow as reason:
+        log.warning("query %s is not answered: %s", query.selector, reason)
+        return "failed"
     except ValueError as error:
         query.reply_err(str(error).encode(), encoding=REFUSAL)
         return "refused"

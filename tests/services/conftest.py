@@ -4,13 +4,18 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cogradar.services import kernels
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import MEMORY
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
+from tests.postgresql import Server, running
 
 MARK = "COGRADAR_TEST_SESSION"
 os.environ[MARK] = str(os.getpid())
@@ -61,3 +66,26 @@ def process_names() -> Callable[[], list[str]]:
         return list(left.values())
 
     return names
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Server]:
+    """A PostgreSQL server."""
+    with running() as server:
+        yield server
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def either_store(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The journals in memory of a module's tests, or schemas of a server in place of them."""
+    if request.param == "sqlite":
+        yield
+        return
+    server: Server = request.getfixturevalue("postgresql")
+    with ExitStack() as opened:
+
+        def journal(path: str, **options: Any) -> Journal:
+            return opened.enter_context(closing(Journal(server.url() if path == MEMORY else path, **options)))
+
+        monkeypatch.setattr(request.module, "Journal", journal)
+        yield

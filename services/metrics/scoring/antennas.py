@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.metrics.queries import messages
+from cogradar.services.metrics.queries import messages, stored
 from cogradar.services.metrics.store import Store
 
 MOST = 256  # waveforms of an answer: 0.5 ms each with 100 antennas
@@ -23,14 +23,15 @@ class AntennaPowers(NamedTuple):
         """Of those for the dwells first .. last that are stored, `most` at equal steps if there are more."""
         from cogradar.shared.signal.waveform import antenna_powers, peak_to_average_db
 
-        found = store.read(
-            "SELECT p.t, m.k FROM picture AS p CROSS JOIN message AS m ON m.run = p.run AND m.k = p.k - 1"
-            " AND m.topic = 'waveform' AND m.item = 0 WHERE p.run = ? AND p.t BETWEEN ? AND ? ORDER BY p.t",
+        dwells = store.scored(
+            "SELECT t, k - 1 AS k FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t",
             [run, first or 0, 2**31 if last is None else last],
         )
+        there = {row["k"] for row in stored(store, run, "waveform", [row["k"] for row in dwells], 0, "k")}
+        found = [row for row in dwells if row["k"] in there]
         found = found[:: -(-len(found) // most)] if found else []
-        stored = messages(store, run, "waveform", [row["k"] for row in found])
-        sent = [(one["isotropic"], one["factor"].astype(np.complex128)) for _, one in sorted(stored.items())]
+        waveforms = messages(store, run, "waveform", [row["k"] for row in found])
+        sent = [(one["isotropic"], one["factor"].astype(np.complex128)) for _, one in sorted(waveforms.items())]
         powers, papr_db = ([of(*one) for one in sent] for of in (antenna_powers, peak_to_average_db))
         return cls(np.array([row["t"] for row in found], np.int64), np.array(powers), np.array(papr_db))
 

@@ -149,8 +149,8 @@ def picture(runs: Sequence[str]) -> tuple[str, list[str]]:
     """
     terms = ", ".join(f"SUM({name}) AS {name}" for name in Totals._fields[1:])
     return (
-        "SELECT run, (SELECT json_extract(document, '$.radar.motion.dt_s') FROM run WHERE run.run = picture.run) AS"
-        " dt_s, COUNT(*) AS dwells, SUM(tested) AS tested, SUM(blind) AS blind, SUM(blind > 0) AS blind_dwells,"
+        "SELECT run, (SELECT dt_s FROM run WHERE run.run = picture.run) AS dt_s, COUNT(*) AS dwells,"
+        " SUM(tested) AS tested, SUM(blind) AS blind, SUM(blind > 0) AS blind_dwells,"
         " SUM(unmeasured) AS unmeasured, SUM(unmeasured > 0 AND tested = 0) AS unmeasured_dwells,"
         f" {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
         [json.dumps(runs)],

@@ -54,7 +54,7 @@ export class Alarms {
 // Why nothing comes: roles without a process, and a recorder that cannot write.
 function reasonsOf(processes) {
   const missing = processes.filter((one) => !one.alive && !one.name).map((one) => `no ${one.role}`);
-  const full = processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full or its store is gone`);
+  const full = processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full, or its store is gone or away`);
   return [...full, ...missing];
 }
 

@@ -10,7 +10,7 @@ from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.scoring.scorer import Row
 from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
-from cogradar.services.recorder.file.schema import Recording
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
 from tests.services.scored import pictures
@@ -30,6 +30,7 @@ def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: An
         "strategy": strategy.value,
         "seed": seed,
         "dwells": DWELLS,
+        "dt_s": SMOKE.radar.motion.dt_s,
         "rate_hz": 0.0,
         "n_target": TARGETS,
         "n_track": TARGETS,

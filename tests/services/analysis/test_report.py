@@ -15,7 +15,7 @@ from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
-from cogradar.services.recorder.file.schema import Recording
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.analysis.conftest import (
     DWELLS,

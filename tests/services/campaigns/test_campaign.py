@@ -84,7 +84,7 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference:
         {"uniform": 3, "power-aware": 3},
     )
     # In the order of the campaign, not of arrival.
-    played = [(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run ORDER BY rowid")]
+    played = [(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run ORDER BY place")]
     assert played == [(start.strategy, start.seed) for start in SMALL.starts()]
 
 

@@ -194,7 +194,7 @@ def test_a_run_that_cannot_be_read_is_named_with_the_reason(sent: list[Message],
     with pytest.raises(BadInput, match="run = 'r': cannot be read: "):
         answer(store, "p_d", {})
     (run,) = answer(store, "runs", {})
-    assert (run["status"], run["reason"], run["length_s"]) == ("quarantined", "why", None)
+    assert (run["status"], run["reason"], run["length_s"]) == ("quarantined", "why", 8.0)
 
 
 @pytest.mark.parametrize(

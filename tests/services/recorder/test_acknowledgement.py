@@ -16,6 +16,8 @@ from tests.samples import sample
 from tests.services.loop import SMOKE, checkpoints, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 
 def test_checkpoints_come_at_the_start_every_sixteen_dwells_and_at_the_end(sent: list[Message]) -> None:
     """The clock is that of the last dwell acknowledged."""
@@ -62,14 +64,15 @@ def test_no_checkpoint_without_a_commit(sent: list[Message], monkeypatch: pytest
     core = RecorderCore(journal)
     core.handle(sent[0])
 
-    def cut(_: Journal) -> None:
+    def cut() -> None:
         raise PowerCut
 
-    monkeypatch.setattr(Journal, "commit", cut)
+    monkeypatch.setattr(journal, "commit", cut)
     until = sent.index(waveforms(sent)[15])  # completes the sixteenth dwell
     assert [answer for message in sent[1:until] for answer in core.handle(message)] == []
     with pytest.raises(PowerCut):
         core.handle(sent[until])
+    monkeypatch.undo()
 
 
 def test_every_commit_is_synchronous(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ from tests.samples import digest
 from tests.services.births import HERE, THERE, UNKNOWN, end, plan, roster, scan, start_of, truth, waveform
 from tests.services.loop import smoke_start
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 NONE, ONE, TWO, LATER = roster({}), roster({0: HERE}), roster({0: HERE, 1: THERE}), roster({1: THERE})
 # The tracks of each dwell: one begins with the first, one with the second, and the first ends.
 ROSTERS = (NONE, ONE, TWO, LATER)

@@ -25,6 +25,8 @@ from tests.samples import digest
 from tests.services.loop import plans, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 
 def _recorded(messages: Iterable[Message]) -> Journal:
     journal = Journal(":memory:")
@@ -115,14 +117,16 @@ def test_a_run_that_nobody_resumes_is_marked_as_interrupted() -> None:
 
 
 UNREADABLE = {
-    "another schema": "UPDATE run SET document = json_remove(document, '$.radar.array') WHERE run = 'bad'",
-    "no JSON": "UPDATE run SET document = '{' WHERE run = 'bad'",
-    "a torn message": "UPDATE message SET payload = zeroblob(20) WHERE run = 'bad' AND topic = 'scan'",
+    "another schema": ("UPDATE run SET document = replace(document, ?, '\"other\"') WHERE run = 'bad'", '"array"'),
+    "no JSON": ("UPDATE run SET document = ? WHERE run = 'bad'", "{"),
+    "a torn message": ("UPDATE message SET payload = ? WHERE run = 'bad' AND topic = 'scan'", bytes(20)),
 }
 
 
 @pytest.mark.parametrize("damage", UNREADABLE.values(), ids=UNREADABLE.keys())
-def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(damage: str, sent: list[Message]) -> None:
+def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(
+    damage: tuple[str, str | bytes], sent: list[Message]
+) -> None:
     journal = Journal(":memory:")
     core = RecorderCore(journal)
     for message in sent[:-1]:
@@ -130,7 +134,7 @@ def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(damage: str
     for message in sent[:40]:
         core.handle(message)
     journal.write("UPDATE run SET acknowledged_k = 3, acknowledged_t = 1 WHERE run = 'bad'")
-    journal.write(damage)
+    journal.write(*damage)
     journal.commit()
     again = RecorderCore(journal, resume=True)
     (bad,) = journal.read("SELECT status, reason FROM run WHERE run = 'bad'")
@@ -156,13 +160,13 @@ def test_a_message_that_is_torn_long_since_sets_its_run_aside_when_the_digest_co
     journal = Journal(":memory:")
     core = RecorderCore(journal)
     acknowledged(core, sent[:-1])
-    journal.write("UPDATE message SET payload = zeroblob(20) WHERE topic = 'scan' AND k = 2")
+    journal.write("UPDATE message SET payload = ? WHERE topic = 'scan' AND k = 2", bytes(20))
     journal.commit()
     again = RecorderCore(journal, resume=True)
     again.handle(smoke_start(run="other"))
     assert isinstance(sent[-1], RunEnd)
     assert _is_end(again.handle(sent[-1]))
-    assert journal.read("SELECT run, status FROM run") == [
+    assert journal.read("SELECT run, status FROM run ORDER BY place") == [
         {"run": "r", "status": "quarantined"},
         {"run": "other", "status": "running"},
     ]

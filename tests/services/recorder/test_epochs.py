@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.errors import BadInput, Deposed
-from cogradar.services.recorder.file.database import KEPT_LEADERS, Database
-from cogradar.services.recorder.file.lock import JournalLock
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.database import KEPT_LEADERS, Database
+from cogradar.services.recorder.store.lock import JournalLock
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.protocol.messages import Checkpoint, Message
@@ -27,7 +27,7 @@ Begin = Callable[..., Recorder]
 def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A file whose lock does not hold, as that of a machine whose file system over the network was cut off."""
     monkeypatch.setattr(JournalLock, "_take", lambda self, _: os.open(self._path, os.O_RDWR | os.O_CREAT))
-    monkeypatch.setattr("cogradar.services.recorder.file.database.displaced", lambda *_: "")
+    monkeypatch.setattr("cogradar.services.recorder.store.sqlite.displaced", lambda *_: "")
     return str(tmp_path / "runs.db")
 
 
@@ -103,7 +103,7 @@ def test_it_ends_when_it_hears_of_one_that_leads_another_copy_of_the_file(
 def test_one_that_waits_for_its_disk_ends_too(monkeypatch: pytest.MonkeyPatch, recorder: Begin) -> None:
     first = recorder()
     first.handle(smoke_start())
-    monkeypatch.setattr("cogradar.services.recorder.file.database.displaced", lambda *_: "it was removed")
+    monkeypatch.setattr("cogradar.services.recorder.store.sqlite.displaced", lambda *_: "it was removed")
     said = [first.handle(Tick(0.25 * i)) for i in range(LOOK_TICKS)]
     assert [answer.held for answer in said[-1] if isinstance(answer, Checkpoint)] == [True, True]
     assert _epochs(said[-1]) == {first._journal.epoch}

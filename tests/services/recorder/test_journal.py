@@ -11,8 +11,9 @@ import pytest
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder import journal as journals
 from cogradar.services.recorder.core import RecorderCore
-from cogradar.services.recorder.file.schema import APPLICATION_ID, SCHEMA_VERSION
 from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.services.recorder.store.sqlite import APPLICATION_ID
+from cogradar.services.recorder.store.tables import SCHEMA_VERSION
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
@@ -61,6 +62,7 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(version: int, r
     assert path.read_bytes() == before
 
 
+@pytest.mark.usefixtures("either_store")
 def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
     store = Journal(":memory:")
     store.add_run(smoke_start())
@@ -223,6 +225,7 @@ def _runs(journal: Journal) -> tuple[list[str], list[str]]:
     return held, written
 
 
+@pytest.mark.usefixtures("either_store")
 def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tick deletes some dwells; a run that goes on is never dropped."""
     monkeypatch.setattr(journals, "DELETED_DWELLS", 2)
@@ -240,6 +243,7 @@ def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: py
     assert journal.read("SELECT * FROM dropped") == []
 
 
+@pytest.mark.usefixtures("either_store")
 def test_a_run_is_kept_until_whoever_began_it_can_have_seen_its_end() -> None:
     journal = Journal(":memory:")
     core = RecorderCore(journal, keep=Retention(runs=1, days=0.0))
@@ -252,6 +256,7 @@ def test_a_run_is_kept_until_whoever_began_it_can_have_seen_its_end() -> None:
     assert _runs(journal)[0] == ["c"]
 
 
+@pytest.mark.usefixtures("either_store")
 def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goes_on_deleting() -> None:
     journal = Journal(":memory:")
     core = RecorderCore(journal)
@@ -296,7 +301,7 @@ def test_a_reader_neither_hinders_nor_delays_the_end_of_a_writer(tmp_path: Path)
     writer.commit()
     reader = Journal(path, read_only=True)
     assert reader.unfinished() == [start.run]
-    writer._db.execute("PRAGMA busy_timeout=600000")  # as long would it wait, if it waited for the reader
+    writer.read("PRAGMA busy_timeout=600000")  # as long would it wait, if it waited for the reader
     began = time.monotonic()
     writer.close()
     assert time.monotonic() - began < 60.0

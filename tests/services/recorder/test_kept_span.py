@@ -24,6 +24,8 @@ from tests.samples import sample
 from tests.services.births import HERE, THERE, plan, roster, scan, start_of, truth, waveform
 from tests.services.stored import answered
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 ALWAYS, SPAN = 32, 40  # dwells
 DT_S = start_of(1).scenario["radar"]["motion"]["dt_s"]
 HOURS = Retention(hours=SPAN * DT_S / 3600.0)

@@ -47,6 +47,8 @@ from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, smoke_start
 from tests.skies import sky_start
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 AHEAD, DWELLS = 3, 400
 HALF = PowerLimit(share=0.5)
 ORTHOGONAL = Setting(key="strategy", value="orthogonal")
@@ -84,7 +86,7 @@ def _orders(answers: Sequence[Message]) -> list[Order]:
 
 
 def _rows(journal: Journal, *columns: str) -> list[tuple[Any, ...]]:
-    return [tuple(row[column] for column in columns) for row in journal.rows("SELECT * FROM command ORDER BY n")]
+    return [tuple(row[column] for column in columns) for row in journal.read("SELECT * FROM command ORDER BY n")]
 
 
 def _begun(start: RunStart) -> tuple[Journal, RecorderCore]:

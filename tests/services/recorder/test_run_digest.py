@@ -12,6 +12,8 @@ from cogradar.shared.protocol.messages import Message, Plan, RunEnd, Truth
 from tests.samples import digest
 from tests.services.loop import plans, play, scans, smoke_start, waveforms
 
+pytestmark = pytest.mark.usefixtures("either_store")
+
 DWELLS = 60
 
 

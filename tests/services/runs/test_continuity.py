@@ -5,8 +5,8 @@ from contextlib import closing
 
 import pytest
 
-from cogradar.services.recorder.file.schema import MEMORY
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import MEMORY
 from cogradar.services.runs.chaos import RealTimeTrial, all_together
 from cogradar.services.runs.continuity import Continuity, continuity
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan

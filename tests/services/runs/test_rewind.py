@@ -7,6 +7,7 @@ import pytest
 
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.sqlite import SqliteConnection
 from cogradar.services.runs import in_process
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
@@ -28,7 +29,10 @@ def _copy(network: FaultyNetwork) -> Journal:
     """The journal as a backup has it."""
     network.store.journal.commit()
     copy = Journal(":memory:")
-    network.store.journal._db.backup(copy._db)
+    theirs, ours = (journal._connection for journal in (network.store.journal, copy))
+    assert isinstance(theirs, SqliteConnection)
+    assert isinstance(ours, SqliteConnection)
+    theirs.db.backup(ours.db)
     return copy
 
 

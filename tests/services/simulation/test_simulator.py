@@ -18,9 +18,9 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import Deposed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.planner.ownership import owners
-from cogradar.services.recorder.file.database import Database
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import RecordedRun
+from cogradar.services.recorder.store.database import Database
 from cogradar.services.runs import in_process
 from cogradar.services.simulation import trials
 from cogradar.services.simulation.cluster import Cluster

@@ -12,8 +12,8 @@ from anyio.to_thread import current_default_thread_limiter
 
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.services.web.app import THREADS, create
 from cogradar.services.web.views import course, timeline
 from cogradar.services.web.views.radar import facts

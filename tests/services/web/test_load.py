@@ -13,8 +13,8 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.recorder.file.schema import Recording
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import Recording
 from cogradar.services.runs import cluster
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.web.address import listen, url

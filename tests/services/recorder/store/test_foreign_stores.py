@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.metrics.core import MetricsCore
-from cogradar.services.recorder.file import schema
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store import sqlite, tables
 
 FOREIGN = {  # how a file is made foreign, and what is said of it
     "trigger": ("CREATE TRIGGER forge AFTER UPDATE ON run BEGIN DELETE FROM message; END", "trigger 'forge'"),
@@ -121,7 +121,7 @@ def test_neither_does_metrics(tmp_path: Path) -> None:
 @pytest.mark.parametrize("is_read_only", [True, False])
 def test_no_question_is_endless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_read_only: bool) -> None:
     """Rows are numbered without end here; in a file, pages that refer to each other can do the same."""
-    monkeypatch.setattr(schema, "STEPS", 2_000_000)
+    monkeypatch.setattr(sqlite, "STEPS", 2_000_000)
     path = str(tmp_path / "run.db")
     Journal(path).close()
     endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT {} FROM n"
@@ -167,7 +167,7 @@ def _make_schema_endless(path: Path) -> None:
 def test_the_schema_of_a_file_is_not_endless(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_read_only: bool
 ) -> None:
-    monkeypatch.setattr(schema, "STEPS", 2_000_000)
+    monkeypatch.setattr(sqlite, "STEPS", 2_000_000)
     path = tmp_path / "run.db"
     Journal(str(path)).close()
     _make_schema_endless(path)
@@ -176,9 +176,9 @@ def test_the_schema_of_a_file_is_not_endless(
 
 
 def test_what_is_in_memory_may_take_as_long_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(schema, "STEPS", 2_000_000)
+    monkeypatch.setattr(sqlite, "STEPS", 2_000_000)
     numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 400000) SELECT max(i) AS i FROM n"
-    with closing(Journal(schema.MEMORY)) as journal:
+    with closing(Journal(tables.MEMORY)) as journal:
         assert journal.read(numbers) == [{"i": 400_000}]
 
 
@@ -188,9 +188,10 @@ def test_schema_is_not_trusted(tmp_path: Path) -> None:
     with closing(Journal(path, read_only=True)) as journal:
         assert journal.read("PRAGMA trusted_schema") == [{"trusted_schema": 0}]
         if sys.version_info >= (3, 12):
-            assert journal._db.getconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE)
+            assert isinstance(journal._connection, sqlite.SqliteConnection)
+            assert journal._connection.db.getconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE)
 
 
 def test_a_new_schema_is_a_new_version() -> None:
     """A file's tables are compared word for word, comments too: whoever changes a word raises the version."""
-    assert (schema.SCHEMA_VERSION, hashlib.sha256(schema._TABLES.encode()).hexdigest()[:16]) == (18, "5b7a5a878e5a4e2b")
+    assert (tables.SCHEMA_VERSION, hashlib.sha256(tables.TABLES.encode()).hexdigest()[:16]) == (19, "38c39a232a48335b")

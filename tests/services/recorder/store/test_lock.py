@@ -14,8 +14,8 @@ import pytest
 
 from cogradar.services.errors import BadInput
 from cogradar.services.recorder.core import RecorderCore
-from cogradar.services.recorder.file.lock import inode_in_use, is_written
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.lock import inode_in_use, is_written
 from tests.services.loop import smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.errors import Failure
-from cogradar.services.recorder.file.schema import MEMORY
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.tables import MEMORY
 
 
 def test_every_table_and_column_has_its_comment_in_the_file() -> None:

@@ -1,33 +1,28 @@
-"""The file of a journal: its tables, and which files are journals. Made once, whole, never out of another program's.
+"""A store in an SQLite file, and which files are stores. Made once, whole, never out of another program's.
 
 A file may come from anywhere. SQLite runs what a schema holds (triggers, views, expressions) inside our own statements,
 so a file whose schema is not word for word ours is refused before it is asked anything.
-
-Tables `run`, `message`, `snapshot`, `command`, `dropped` and `leader` are the recorder's, `score`, `picture` and
-`campaign` a campaign's, whose store has few messages. Targets and tracks count from 1.
 """
 
 import os
 import shutil
 import sqlite3
 import sys
+import weakref
+from collections.abc import Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.errors import BadInput, Failure, NoRoom, StoreFailed
+from cogradar.services.errors import BadInput, Displaced, Failure, NoRoom, StoreFailed
+from cogradar.services.recorder.store.lock import JournalLock
+from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, NoStoreYet, statements
 from cogradar.shared.scenario.faults import printable
-from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
-# The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 18
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
-MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
-MEMORY = ":memory:"
 ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
 MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 MiB
 STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks at how many a question took
@@ -35,85 +30,105 @@ STEPS, STEPS_PER_BYTE = 200_000_000, 20  # that a question may take: some second
 _ACTING = "trigger view index table"  # what a schema holds, in the order in which it is named
 _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
 
-# Comments stay in a file's own description of itself (`.schema` of sqlite3), and make the page of the reference. In
-# brackets the unit. None may hold a semicolon. Files are compared with these words: to change one is a new version.
-SCORE_KEY, PICTURE_KEY = "run, t, target", "run, t"
-_TABLES = f"""
-CREATE TABLE run ( -- one row per run
-    run TEXT PRIMARY KEY, -- name, opaque
-    scenario TEXT NOT NULL, -- name of the scenario
-    document TEXT NOT NULL, -- [JSON] the whole scenario, every key with its value
-    strategy TEXT NOT NULL, -- how the power is spread
-    seed INTEGER NOT NULL, -- of the world. The radar's is a one-way function of it
-    dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition, 2147483647: no end
-    rate_hz REAL NOT NULL, -- [1/s] dwells per second in real time, 0 in lockstep
-    n_target INTEGER NOT NULL, -- targets of the world, whenever they are there, without truth n_track or 0
-    n_track INTEGER, -- tracks of the radar, null if nobody tells it their number
-    has_truth INTEGER NOT NULL, -- [0, 1] the front end was a simulation and told where the targets were
-    acknowledged_k INTEGER NOT NULL DEFAULT 0, -- [dwells] all messages of dwells k below this are in the file
-    acknowledged_t INTEGER NOT NULL DEFAULT 0, -- [dwells] the clock t of the last of them
-    kept_k INTEGER NOT NULL DEFAULT 0, -- [dwells] messages of dwells k below this were cut, of a run without an end
-    acquisition_scans INTEGER, -- [scans] up to the last track's confirmation, null before, 0 of an unknown number
-    conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
-    status TEXT NOT NULL DEFAULT 'running', -- running, complete, stopped, failed or quarantined
-    reason TEXT NOT NULL DEFAULT '', -- why it ended before its last dwell
-    digest TEXT, -- SHA-256 over scans, plans and waveforms, once complete
-    began_s INTEGER NOT NULL, -- [s] when its start was recorded, since 1970 in UTC
-    ended_s INTEGER -- [s] when it ended, since 1970 in UTC
-    );
-CREATE TABLE message ( -- every message of a run, as it was sent, a campaign's store has the waveforms of few dwells
-    run TEXT NOT NULL, -- its run
-    k INTEGER NOT NULL, -- its dwell
-    topic TEXT NOT NULL, -- scan, truth, plan or waveform
-    item INTEGER NOT NULL, -- of a plan its track, of others 0
-    payload BLOB NOT NULL, -- [MessagePack] as on the wire, where tracks count from 0
-    PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
-CREATE TABLE snapshot ( -- what a track was, of runs that go on
-    run TEXT NOT NULL, -- its run
-    target INTEGER NOT NULL, -- its track
-    k INTEGER NOT NULL, -- after this dwell
-    payload BLOB NOT NULL, -- [MessagePack] the newest one, gone when the run has ended
-    PRIMARY KEY (run, target));
-CREATE TABLE command ( -- what somebody asked of a run that went on
-    run TEXT NOT NULL, -- its run
-    n INTEGER NOT NULL, -- its number in the run, from 1
-    id TEXT NOT NULL, -- of the command, unique
-    asker TEXT NOT NULL, -- who asked
-    asked_s INTEGER NOT NULL, -- [s] when the recorder received it, since 1970 in UTC
-    action TEXT NOT NULL, -- [JSON] what was asked for, where tracks count from 0
-    k INTEGER, -- the first dwell under it, null if it was refused
-    reason TEXT NOT NULL DEFAULT '', -- why it was refused
-    over_k INTEGER, -- [dwells] no dwell from this one on is shaped by it, null before
-    PRIMARY KEY (run, n), UNIQUE (run, id)) WITHOUT ROWID;
-CREATE TABLE dropped ( -- ended runs whose messages are being deleted
-    run TEXT PRIMARY KEY -- its name
-    );
-CREATE TABLE leader ( -- the recorders that led the runs of this file, one after the other
-    epoch INTEGER PRIMARY KEY, -- [us] when it began, since 1970 in UTC, or later, the highest one leads
-    name TEXT NOT NULL -- of its process
-    );
-CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
-{definition(SCORE, SCORE_KEY)}) WITHOUT ROWID;
-CREATE TABLE picture ( -- all tracks and targets of each dwell together, like score
-{definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID;
-CREATE TABLE campaign ( -- what a campaign was asked to be
-    document TEXT NOT NULL -- [JSON] scenarios, strategies, seeds, and a digest of the program
-    );
-"""
 
+class SqliteConnection:
+    """One SQLite file, or what is in memory: `Connection` of `database`."""
 
-@dataclass(frozen=True)
-class Recording:
-    """A finished run as rows of a store: its own, its scores, and those messages that are to be kept."""
+    begin = begin_to_lead = "BEGIN IMMEDIATE"  # from here on no other process can write
+    hold_still = "BEGIN"
+    stamp = STAMP
+    has_temporary = True
 
-    run: dict[str, Any]
-    scores: list[dict[str, Any]]
-    picture: list[dict[str, Any]]
-    messages: list[dict[str, Any]]
+    def __init__(self, path: str, owner: str, *, read_only: bool) -> None:
+        """A writer takes the file's lock in the name of `owner`, and makes a new or empty file a journal.
 
+        What is in memory is closed with the last reference to it, a file by `close` only.
 
-class NoStoreYet(BadInput):
-    """There is no file, or an empty one: somebody may be about to make it a store."""
+        Raises BadInput, with the file left as it was, if it is something else or another process writes it.
+        """
+        self.name = path
+        self.db = connect(path, read_only=read_only)
+        if path == MEMORY:
+            weakref.finalize(self, self.db.close)
+        self._limit = Limit(self.db, path)
+        self._lock: JournalLock | None = None
+        self._place = Place()
+        try:
+            if not read_only and path != MEMORY:
+                self._lock = JournalLock(path, owner)
+            if not read_only:
+                make(self.db, path)
+        except (Failure, sqlite3.Error) as error:
+            if self.db.in_transaction:
+                self.db.execute("ROLLBACK")
+            self.close()
+            raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
+        self.db.row_factory = sqlite3.Row
+        self._place = {} if read_only else place_of(path)
+
+    def close(self) -> None:
+        """Close it: the write-ahead log goes into the file, which is then whole by itself."""
+        if self._lock is not None and not displaced(self.name, self._place):  # whose files they are is unknown
+            settle(self.db)
+        self.db.close()
+        if self._lock is not None:
+            self._lock.release()
+
+    def lose_lock(self) -> None:
+        """Let another process take the lock, without a word."""
+        if self._lock is not None:
+            self._lock.lose()
+
+    def expire_after(self, _seconds: float) -> None:
+        """The lock goes with the process, and needs no time."""
+
+    @property
+    def in_transaction(self) -> bool:
+        """Whether something was written that is not committed."""
+        return self.db.in_transaction
+
+    def check_place(self) -> None:
+        """Raises Displaced if its files are no longer where they were, or cannot be written."""
+        if fault := displaced(self.name, self._place):
+            raise Displaced(f"{fault} while it was in use: put it back as it was, or restart on the file that is there")
+
+    def check_room(self) -> None:
+        """Raises NoRoom, as far as the system knows it."""
+        self.check_place()
+        if not has_room(self.name):
+            raise NoRoom(f"{self.name}: the disk is full")
+
+    def n_byte(self) -> int:
+        """Bytes of the file with its log."""
+        return _size(self.name)
+
+    def execute(self, statement: str, parameters: Sequence[Any]) -> int:
+        """Execute a statement; the number of rows that it changed."""
+        self._limit.begin()
+        try:
+            return self.db.execute(statement, parameters).rowcount
+        except sqlite3.Error as error:
+            raise failure(self.name, error) from None
+
+    def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
+        """Execute a statement for each of these rows."""
+        self._limit.begin()
+        try:
+            self.db.executemany(statement, rows)
+        except sqlite3.Error as error:
+            raise failure(self.name, error) from None
+
+    def rows(self, query: str, parameters: Sequence[Any]) -> list[Any]:
+        """Rows of a SELECT, which can be indexed."""
+        self._limit.begin()
+        try:
+            return self.db.execute(query, parameters).fetchall()
+        except sqlite3.Error as error:
+            raise failure(self.name, error) from None
+
+    def read(self, query: str, parameters: Sequence[Any]) -> list[dict[str, Any]]:
+        """Rows of a SELECT."""
+        return [dict(row) for row in self.rows(query, parameters)]
 
 
 class Limit:
@@ -197,7 +212,7 @@ def make(db: sqlite3.Connection, path: str) -> None:
     db.execute("BEGIN IMMEDIATE")
     is_new = _version(db, path) == 0
     if is_new:
-        for statement in _TABLES.split(";"):
+        for statement in statements():
             db.execute(statement)
     # Stamped in any case: a file that can only be read says so now, and not when there are results to keep.
     try:
@@ -301,7 +316,7 @@ def _schema(db: sqlite3.Connection) -> frozenset[tuple[str, str, str, str | None
 @cache
 def _own_schema() -> frozenset[tuple[str, str, str, str | None]]:
     with closing(sqlite3.connect(MEMORY)) as db:
-        for statement in _TABLES.split(";"):
+        for statement in statements():
             db.execute(statement)
         return _schema(db)
 

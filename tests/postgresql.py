@@ -1,0 +1,91 @@
+"""A PostgreSQL server of the tests, on a socket in a folder of its own; Debian's package `postgresql` has it."""
+
+import os
+import pwd
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "postgresql"
+_FAST = {"fsync": "off", "listen_addresses": "''", "shared_buffers": "16MB", "max_connections": "30"}
+
+
+def programs() -> Path | None:
+    """The folder with `initdb`, as Debian has it, or on the PATH."""
+    debian = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+    found = shutil.which("initdb") if not debian else str(debian[-1])
+    return None if found is None else Path(found).parent
+
+
+class Server:
+    """A server, with one database."""
+
+    def __init__(self, folder: Path, programs: Path) -> None:
+        self._folder, self._programs = folder, programs
+        self._user: str | None = None
+        if os.geteuid() == 0:  # as which no server runs
+            self._user = next(name for name in ("postgres", "nobody") if _is_there(name))
+            shutil.chown(folder, self._user)
+        self._schemas = count()
+        self._run("initdb", "-A", "trust", "-U", "radar", "-E", "UTF8", "--no-locale", "-N")
+        with (folder / "data" / "postgresql.conf").open("a") as file:
+            file.writelines(f"{name} = {value}\n" for name, value in _FAST.items())
+            file.write(f"unix_socket_directories = '{folder}'\n")
+
+    def start(self) -> None:
+        """Start it, and wait until it answers."""
+        self._run("pg_ctl", "-w", "-l", str(self._folder / "log"), "start")
+
+    def stop(self, mode: str = "fast") -> None:
+        """Stop it; "immediate" as if it was killed."""
+        self._run("pg_ctl", "-w", "-m", mode, "stop")
+
+    def url(self, schema: str | None = None) -> str:
+        """The address of a store; a new one if no schema is named."""
+        name = schema or f"s{next(self._schemas)}"
+        return f"postgresql://radar@/postgres?host={self._folder}&schema={name}"
+
+    def _run(self, program: str, *arguments: str) -> None:
+        asked = [str(self._programs / program), "-D", str(self._folder / "data"), *arguments]
+        quiet = subprocess.DEVNULL
+        group = None if self._user is None else pwd.getpwnam(self._user).pw_gid
+        groups = None if group is None else [group]
+        owner = subprocess.Popen(
+            asked,
+            cwd=self._folder,
+            stdin=quiet,
+            stdout=quiet,
+            stderr=quiet,
+            user=self._user,
+            group=group,
+            extra_groups=groups,
+        )
+        assert owner.wait() == 0, asked
+
+
+def _is_there(name: str) -> bool:
+    try:
+        pwd.getpwnam(name)
+    except KeyError:
+        return False
+    return True
+
+
+@contextmanager
+def running() -> Iterator[Server]:
+    """A server; the test is skipped where there is none."""
+    if (there := programs()) is None:
+        pytest.skip(f"no PostgreSQL server: apt install {PACKAGE}")
+    with tempfile.TemporaryDirectory(prefix="pg-") as name:
+        server = Server(Path(name), there)
+        server.start()
+        try:
+            yield server
+        finally:
+            server.stop("immediate")
