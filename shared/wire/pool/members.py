@@ -1,6 +1,7 @@
 """The tokens of a pool's processes: those that this process shows, and those that it sees of the others."""
 
 import logging
+import re
 import time
 import uuid
 import zlib
@@ -15,11 +16,13 @@ from cogradar.shared.protocol.topics import ALL_SHARDS, PROTOCOL, SHARE, Role, r
 from cogradar.shared.wire.membership import LEASE_S
 from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 
-PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing looks whether it was missed
+PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
 ASK_S = 1.0  # for an answer about tokens
 _PRESENT = "any-"  # begins the part of a key that is no shard
+_NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
+_MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255: there must be later ones
 log = logging.getLogger(__name__)
 
 
@@ -44,12 +47,13 @@ class _Token(NamedTuple):
     @property
     def number(self) -> int | None:
         """Its shard; None: it says that a process is there, or what no program says."""
-        return int(self.shard) if self.shard.isdecimal() and int(self.shard) in ALL_SHARDS else None
+        return _NUMBERS.get(self.shard)
 
     @property
     def is_one(self) -> bool:
         """Whether it is what a program shows."""
-        return (self.number is not None or self.shard.startswith(_PRESENT)) and self.moment[:20].isdecimal()
+        is_shard = self.number is not None or self.shard.startswith(_PRESENT)
+        return is_shard and _MOMENT.fullmatch(self.moment) is not None
 
 
 class Pool:
@@ -81,6 +85,7 @@ class Pool:
         self._shown: dict[str, zenoh.LivelinessToken] = {}
         self._told: frozenset[int] | None = None  # what the core knows
         self._due_s = self._looked_s = 0.0
+        self._cpu_s = 0.0  # of this thread, at the last decision
         self._routers = frozenset(map(str, session.info.routers_zid()))
         self._n_lost = self._n_known = 0  # links to routers that were lost; when this process looked last
         self._link = session.info.declare_transport_events_listener(self._on_link, history=False)
@@ -115,8 +120,8 @@ class Pool:
 
     def news(self) -> frozenset[int] | None:
         """The shards that are served from now on, if the core does not know them yet."""
-        now_s = _uptime_s()
         self.has_paused()
+        now_s = self._looked_s
         if now_s >= self._due_s or self._arrived:
             self._decide(now_s)
         return self._tell()
@@ -127,9 +132,11 @@ class Pool:
         Asked before anything is handled that has waited meanwhile, or is due: what others do now is not to be done
         twice.
         """
-        now_s, before_s = _uptime_s(), self._looked_s
-        is_missed = now_s > before_s + PAUSE_S and self._is_missed(now_s)
-        self._looked_s, self._n_known = max(self._looked_s, now_s), self._n_lost
+        now_s, is_missed = _uptime_s(), False
+        if (gap_s := now_s - self._looked_s) > PAUSE_S:
+            is_missed = gap_s - (time.thread_time() - self._cpu_s) > PAUSE_S and self._is_missed()
+            now_s = _uptime_s()  # to ask took its time, too
+        self._looked_s, self._n_known = now_s, self._n_lost
         return is_missed
 
     def serves(self, key: str) -> bool:
@@ -148,7 +155,7 @@ class Pool:
         self._told = self._shares.held
         return self._told
 
-    def _is_missed(self, now_s: float) -> bool:
+    def _is_missed(self) -> bool:
         """Whether its tokens are not what it showed, or others have claims to what it serves: it begins anew then.
 
         What is asked may be answered by what this session knows. So its threads get the time to learn what has
@@ -158,19 +165,19 @@ class Pool:
         there = self._there()
         own = {token.shard for token in there if token.moment == self._shares.moment}
         others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
-        self._looked_s = _uptime_s()  # the question took its time, too
         is_seen = self._n_lost == self._n_known and own >= self._shown.keys()
         if is_seen and not any(shard in self.held for shard, _ in others):
             return False
         log.warning("%s was away, and others may serve its runs: it drops them, and joins again", self._name)
         self._withdraw(list(self._shown))
         self._shares.lapse(later_than((token.moment for token in there), _moment()))
-        self._shares.see_all(others, now_s)
+        self._shares.see_all(others, _uptime_s())
+        self._routers = frozenset()  # what is not seen now may still be coming back
         self._show(self._kind)
         return True
 
     def _decide(self, now_s: float) -> None:
-        self._due_s = now_s + LOOK_S
+        self._due_s, self._cpu_s = now_s + LOOK_S, time.thread_time()
         while self._arrived:
             token, is_there = self._arrived.popleft()
             self._shares.see(token.number, token.moment, now_s, is_there=is_there)

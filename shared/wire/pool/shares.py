@@ -26,6 +26,7 @@ class _Seen:
 
     since_s: float
     absent_s: float = math.inf  # since when it is not there
+    back_s: float = -math.inf  # when it was there again
 
 
 class Change(NamedTuple):
@@ -41,6 +42,7 @@ class Shares:
     def __init__(self, moment: str, *, is_spread: bool) -> None:
         """It shows nothing yet. `is_spread` False: the earliest process has all shards, the others stand by."""
         self.moment, self._is_spread = moment, is_spread
+        self._former = ""  # its moment before it lapsed, of tokens that may still seem to be there
         self.held: frozenset[int] = frozenset()  # shards that it serves
         self._shown: dict[int, float] = {}  # own claims, and since when
         self._members: dict[str, _Seen] = {}  # others
@@ -56,7 +58,7 @@ class Shares:
 
     def see(self, shard: int | None, moment: str, now_s: float, *, is_there: bool) -> None:
         """A token of another process is there, or gone; shard None: the one that says that the process is there."""
-        if moment == self.moment:
+        if moment in {self.moment, self._former}:
             return
         if shard is None:
             _note(self._members, moment, now_s, is_there=is_there)
@@ -73,7 +75,8 @@ class Shares:
 
     def lapse(self, moment: str) -> None:
         """The process was away, and others may serve its shards: it begins anew, as another one."""
-        self.moment, self.held, self._shown = moment, frozenset(), {}
+        self._former, self.moment = self.moment, moment
+        self.held, self._shown = frozenset(), {}
 
     def decide(self, now_s: float, busy: Collection[int], is_connected: Callable[[], bool]) -> Change:
         """What to show from now on; `held` is what it serves from now on.
@@ -95,17 +98,19 @@ class Shares:
         absent = any(seen.absent_s < math.inf for tokens in (self._members, self._claims) for seen in tokens.values())
         if absent and not is_connected():
             self._settled_s = now_s + RETURN_S
+        if absent:
+            self._claims = {claim: seen for claim, seen in self._claims.items() if not self._is_left(claim, now_s)}
         if not absent or now_s < self._settled_s:
             return
         self._members = {one: seen for one, seen in self._members.items() if now_s < seen.absent_s + LEAVE_AFTER_S}
-        self._claims = {
-            (shard, moment): seen
-            for (shard, moment), seen in self._claims.items()
-            if now_s < seen.absent_s + (SETTLE_S if self._is_there(moment) else LEAVE_AFTER_S)
-        }
+        self._claims = {one: seen for one, seen in self._claims.items() if now_s < seen.absent_s + LEAVE_AFTER_S}
 
-    def _is_there(self, moment: str) -> bool:
-        return moment in self._members and self._members[moment].absent_s == math.inf
+    def _is_left(self, claim: tuple[int, str], now_s: float) -> bool:
+        """Whether a process that is there has withdrawn a claim: all its tokens would have come back by now."""
+        member = self._members.get(claim[1])
+        if member is None or member.absent_s < math.inf:
+            return False
+        return now_s >= max(self._claims[claim].absent_s, member.back_s) + SETTLE_S
 
     def _rivals(self, shard: int) -> dict[str, _Seen]:
         return {moment: seen for (one, moment), seen in self._claims.items() if one == shard}
@@ -113,7 +118,8 @@ class Shares:
     def _yield(self, now_s: float) -> None:
         """Leave shards to earlier claims; those that it serves to one that stays."""
         for shard in list(self._shown):
-            earlier = [seen.since_s for moment, seen in self._rivals(shard).items() if moment < self.moment]
+            rivals = self._rivals(shard).items()
+            earlier = [seen.since_s for moment, seen in rivals if moment < self.moment and seen.absent_s == math.inf]
             if earlier and (shard not in self.held or now_s >= min(earlier) + YIELD_S):
                 del self._shown[shard]
 
@@ -163,9 +169,9 @@ class Shares:
 def _note(tokens: dict[Key, _Seen], key: Key, now_s: float, *, is_there: bool) -> None:
     if is_there and key not in tokens:
         tokens[key] = _Seen(now_s)
-    elif is_there:
-        tokens[key].absent_s = math.inf
-    elif key in tokens:
+    elif is_there and tokens[key].absent_s < math.inf:
+        tokens[key].absent_s, tokens[key].back_s = math.inf, now_s
+    elif key in tokens and not is_there:
         tokens[key].absent_s = min(tokens[key].absent_s, now_s)
 
 

@@ -94,3 +94,34 @@ def test_one_that_was_only_busy_keeps_what_it_serves(
     monkeypatch.setattr(members, "PAUSE_S", 0.0)
     assert not first.pool.has_paused()
     assert len(first.pool.held) == 8
+
+
+def test_what_no_program_shows_is_not_heeded(start: Callable[..., _Process]) -> None:
+    """A number of thousands of digits is an error to whatever reads it; nothing may be later than all that comes."""
+    for shard, moment in (
+        ("1" * 5000, "01795786253003373525-dc646a39"),
+        ("16", "01795786253003373525-dc646a39"),
+        ("3", "9" * 5000 + "-dc646a39"),
+        ("3", "99999999999999999999-dc646a39"),
+        ("3", "x"),
+    ):
+        assert not members._Token.of(f"cogradar/share/9/b/emulator/{shard}/{moment}/a").is_one
+    process = start("a")
+    key = process.pool._key(shard="3", moment="9" * 5000, name="b")
+    process.session.liveliness().declare_token(key)
+    other = start("b")
+    _share([process, other], 8, 8)
+
+
+def test_computing_is_no_pause(start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch) -> None:
+    process, clocks = start("a"), {"up": 1e6, "cpu": 0.0}
+    monkeypatch.setattr(members, "_uptime_s", lambda: clocks["up"])
+    monkeypatch.setattr(time, "thread_time", lambda: clocks["cpu"])
+    monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
+    process.pool._looked_s = clocks["up"]
+    paused = []
+    for up, cpu in ((5.0, 4.5), (0.2, 0.0), (5.0, 3.5)):
+        process.pool._decide(clocks["up"])
+        clocks["up"], clocks["cpu"] = clocks["up"] + up, clocks["cpu"] + cpu
+        paused.append(process.pool.has_paused())
+    assert paused == [False, False, True]

@@ -226,9 +226,20 @@ def test_one_that_was_away_begins_anew() -> None:
     world.run(0.1)
     assert world.members["2"].shares.held == ALL_SHARDS
     world.end("1")
+    world.run(0.8 * YIELD_S)  # they count as there for a while, and nothing is left to them
+    assert world.members["2"].shares.held == ALL_SHARDS
     world.start("3")
     world.run(2.0)
     assert world.held() == {"2": 8, "3": 8}
+
+
+def test_its_former_tokens_are_of_no_other_process() -> None:
+    shares = Shares("1", is_spread=True)
+    shares.decide(0.0, (), lambda: True)
+    shares.lapse("2")
+    shares.see(None, "1", 0.0, is_there=True)
+    shares.see(3, "1", 0.0, is_there=True)
+    assert shares.decide(0.0, (), lambda: True).shown == ALL_SHARDS
 
 
 def test_a_moment_is_later_than_all_that_are_seen() -> None:
