@@ -45,6 +45,7 @@ if [ ! -e "$root/made" ]; then
     mkdir -p "$root/srv/cogradar"
     touch "$root/made"
 fi
+[ "$arch" != amd64 ] || cp /usr/bin/qemu-x86_64-static "$root/usr/bin/" || missing "QEMU (Debian, Ubuntu: apt install qemu-user-static)"
 cp /etc/resolv.conf /etc/hosts "$root/etc/"
 cp /etc/ssl/certs/ca-certificates.crt "$root/etc/ssl/certs/"
 [ ! -e /etc/pip.conf ] || cp /etc/pip.conf "$root/etc/"

@@ -28,7 +28,8 @@ log = logging.getLogger(__name__)
 
 def _uptime_s() -> float:
     """A clock that goes on while the machine is suspended, as the leases of the others do."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+    clock_gettime, clock = getattr(time, "clock_gettime", None), getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock_gettime is None or clock is None else float(clock_gettime(clock))
 
 
 def _moment() -> str:
