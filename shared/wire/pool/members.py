@@ -2,11 +2,13 @@
 
 import logging
 import re
+import threading
 import time
 import uuid
 import zlib
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple, Self
 
@@ -20,6 +22,7 @@ PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not c
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
 ASK_S = 1.0  # for an answer about tokens
+AGAIN_S = 2.0  # between two looks at all tokens: word of one that is gone may have been lost, or come too early
 _PRESENT = "any-"  # begins the part of a key that is no shard
 _NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
 _MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255: there must be later ones
@@ -83,6 +86,7 @@ class Pool:
         self._key = partial(SHARE.format, protocol=PROTOCOL, build=build, role=role)
         self._name, self._pattern = name, self._key(shard="*", moment="*", name="*")
         self._arrived: deque[tuple[_Token, bool]] = deque()
+        self._answers: deque[tuple[float, set[_Token]]] = deque(maxlen=1)  # when it was asked; what was there
         self._shown: dict[str, zenoh.LivelinessToken] = {}
         self._told: frozenset[int] | None = None  # what the core knows
         self._due_s = self._looked_s = 0.0
@@ -97,6 +101,8 @@ class Pool:
         moment = later_than((token.moment for token in seen), _moment())
         self._shares = Shares(moment, is_spread=is_spread)
         self._shares.see_all({(token.number, token.moment) for token in there}, _uptime_s())
+        self._closed = threading.Event()
+        threading.Thread(target=self._look_again, name="tokens", daemon=True).start()
 
     @property
     def held(self) -> frozenset[int]:
@@ -146,6 +152,7 @@ class Pool:
 
     def close(self) -> None:
         """Leave it."""
+        self._closed.set()
         self._watch.undeclare()
         self._link.undeclare()
         self._withdraw(list(self._shown))
@@ -182,10 +189,25 @@ class Pool:
         while self._arrived:
             token, is_there = self._arrived.popleft()
             self._shares.see(token.number, token.moment, now_s, is_there=is_there)
+        while self._answers:
+            self._compare(*self._answers.popleft(), now_s)
         change = self._shares.decide(now_s, self._busy(), self._is_connected)
         self._withdraw(map(str, change.withdrawn))
         for shard in sorted(change.shown):
             self._show(str(shard))
+
+    def _compare(self, asked_s: float, there: set[_Token], now_s: float) -> None:
+        """Heed an answer about all tokens, unless it lacks own ones: a router that knows these knows all."""
+        own = {token.shard for token in there if token.moment == self._shares.moment}
+        if own >= self._shown.keys():
+            others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
+            self._shares.see_all(others, now_s, asked_s)
+
+    def _look_again(self) -> None:
+        with suppress(zenoh.ZError):  # the session is closed
+            while not self._closed.wait(AGAIN_S) and not self._session.is_closed():
+                asked_s = _uptime_s()
+                self._answers.append((asked_s, self._there()))
 
     def _is_connected(self) -> bool:
         """Whether there is a router, and the same one as before: a new one hides all tokens for a while."""

@@ -65,13 +65,17 @@ class Shares:
         else:
             _note(self._claims, (shard, moment), now_s, is_there=is_there)
 
-    def see_all(self, tokens: Collection[tuple[int | None, str]], now_s: float) -> None:
-        """These tokens are there, and no others."""
-        gone = {(None, moment) for moment in self._members} | self._claims.keys()
-        for shard, moment in gone - set(tokens):
-            self.see(shard, moment, now_s, is_there=False)
+    def see_all(self, tokens: Collection[tuple[int | None, str]], now_s: float, asked_s: float = math.inf) -> None:
+        """These tokens were there, and no others, some time after `asked_s`; what was seen since then stays."""
+        known: dict[tuple[int | None, str], _Seen] = {(None, one): seen for one, seen in self._members.items()}
+        known.update((claim, seen) for claim, seen in self._claims.items())
+        for (shard, moment), seen in known.items():
+            if (shard, moment) not in tokens and max(seen.since_s, seen.back_s) < asked_s:
+                self.see(shard, moment, now_s, is_there=False)
         for shard, moment in tokens:
-            self.see(shard, moment, now_s, is_there=True)
+            at = known.get((shard, moment))
+            if at is None or not asked_s <= at.absent_s < math.inf:
+                self.see(shard, moment, now_s, is_there=True)
 
     def lapse(self, moment: str) -> None:
         """The process was away, and others may serve its shards: it begins anew, as another one."""

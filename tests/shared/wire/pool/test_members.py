@@ -68,6 +68,16 @@ def test_shards_are_shared_and_taken_over(start: Callable[..., _Process]) -> Non
     _share([second], 16)
 
 
+def test_word_of_one_that_is_gone_may_be_lost(
+    start: Callable[..., _Process],
+) -> None:
+    first, second = start("a"), start("b")
+    _share([first, second], 8, 8)
+    second.pool._watch.undeclare()  # so it hears of no token any more
+    first.session.close()
+    _share([second], 16)
+
+
 def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
     assert start("a").pool.others() == []
     assert start("b", "zenoh:roof").pool.others() == ["a"]

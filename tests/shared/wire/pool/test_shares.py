@@ -284,3 +284,19 @@ def _happen(world: _World, moments: Iterator[str], rng: np.random.Generator) -> 
             world.cut([who], is_cut=not world.members[who].is_cut)
         case _:
             pass
+
+
+def test_an_answer_is_older_than_what_was_seen_after_it_was_asked_for() -> None:
+    """Tokens that it lacks are gone, and those that it has are there, unless word of them came since."""
+    shares = Shares("0" * 20 + "-1", is_spread=True)
+    for moment in ("old", "new"):
+        shares.see(None, moment, 1.0 if moment == "old" else 3.0, is_there=True)
+    shares.see(7, "old", 1.0, is_there=True)
+    shares.see(7, "old", 3.0, is_there=False)
+    shares.see_all({(7, "old"), (None, "other")}, 3.1, asked_s=2.0)
+    assert shares._members["old"].absent_s == 3.1
+    assert shares._members["new"].absent_s == math.inf
+    assert shares._members["other"].absent_s == math.inf
+    assert shares._claims[7, "old"].absent_s == 3.0
+    shares.see_all({(7, "old")}, 5.0, asked_s=4.0)
+    assert shares._claims[7, "old"].absent_s == math.inf
