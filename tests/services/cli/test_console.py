@@ -105,7 +105,7 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
             "--name: '/': 1 to 64 letters, digits, '.', '_' and '-'; of a planner, @FIRST-LAST behind them",
         ),
         *(
-            ([*asked, *both], f"{both[2]}: --store reads a file, --connect asks services: one of them")
+            ([*asked, *both], f"{both[2]}: --store reads a store, --connect asks services: one of them")
             for asked in (["query", "p_d"], ["export", "--out", "x.csv"], ["replay", "--to", "planner"])
             for both in (["--store", "a.db", "--connect", "tcp/a:1"], ["--connect", "tcp/a:1", "--store", "a.db"])
         ),
