@@ -218,6 +218,9 @@ def _joined(role: Role, start: Start, core: Sharing, session: Session, check: Ca
         check()
         time.sleep(HOLDER_POLL_S)
     pool.join(check)
+    if others := pool.others():  # one that began at the same time
+        pool.close()
+        raise BadInput(f"--front-end: {', '.join(others)} has another one; all of a system have the same")
     return pool
 
 

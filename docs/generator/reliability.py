@@ -98,17 +98,16 @@ PROOFS = (
     ),
     Proof(
         "builds",
-        "Processes of another build are not heard; a second recorder, metrics, emulator or allocator does not start;"
-        " a run goes on after an upgrade.",
+        "Processes of another build are not heard; a second metrics does not start; a run goes on after an upgrade.",
         "real processes",
         f"{PYTEST}tests/services/test_identity.py tests/services/runs/test_upgrade.py",
     ),
     Proof(
         "frozen",
-        "A recorder, emulator or allocator that was frozen while another one took over ends itself; nothing that was"
-        " acknowledged is lost.",
-        "real processes, stopped and continued during a run of 600 dwells",
-        f"{PYTEST}tests/services/test_deposed.py",
+        "A recorder that was frozen while another one took over ends itself; an emulator or allocator drops its runs"
+        " and joins again; nothing that was acknowledged is lost.",
+        "real processes, two of a role, stopped or killed during runs",
+        f"{PYTEST}tests/services/test_deposed.py tests/services/runs/test_pools.py",
     ),
     Proof(
         "alone",

@@ -77,7 +77,7 @@ RARE_SHARE = 0.15
 MOVED_SHARE = 0.15  # likewise of the schedules in which runs are moved
 DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
-# In real time nothing can be repeated, and no role runs twice.
+# In real time nothing can be repeated, and no role runs twice at once.
 _OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN})
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {

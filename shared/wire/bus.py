@@ -29,6 +29,9 @@ class Bus(Protocol):
     def is_drained(self) -> bool:
         """Whether nothing waits. What is received may be no event; then None says nothing of that."""
 
+    def has_paused(self) -> bool:
+        """Whether this process was away for so long that others do its part: what is due is not to be done here."""
+
     def refuse(self, message: Message, reason: str) -> None:
         """Drop a message that the core refuses, like a bad one."""
 
@@ -214,6 +217,10 @@ class LocalBus:
     def is_drained(self) -> bool:
         """Whether the queue is empty."""
         return not self.queue
+
+    def has_paused(self) -> bool:
+        """False: within one process nobody is away."""
+        return False
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""

@@ -140,6 +140,8 @@ def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter, beat: Calla
             is_prepared = is_prepared or prepare is None or not prepare()
         now = time.monotonic()
         if now >= wake or (has_deferred and event is None):
+            if bus.has_paused():  # while it handled the event: what a tick makes due is others' by now
+                continue
             _handle_counted(core, bus, Tick(now, drained), meter)
             beat()
             tick, is_prepared, drained = now + TICK_S, False, False

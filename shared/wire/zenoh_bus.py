@@ -157,10 +157,14 @@ class ZenohBus:
         deadline = time.monotonic() + timeout_s
         while True:
             event = self._shards() or self._expired() or self._next(deadline)
-            if self.pool is not None and self.pool.has_paused():
+            if self.has_paused():
                 continue  # nothing of its runs is to be handled, nor is a tick: what is dropped is sent again
             if event is not None or time.monotonic() >= deadline:
                 return event
+
+    def has_paused(self) -> bool:
+        """Whether this process of a pool was away for so long that it was missed."""
+        return self.pool is not None and self.pool.has_paused()
 
     def is_drained(self) -> bool:
         """Whether no message and no question waits."""

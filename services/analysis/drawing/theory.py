@@ -63,11 +63,12 @@ def detection(results: Results) -> Figure:
             color=INK,
             linewidth=0.9,
             linestyle=line,
-            label=f"theory, {law} RCS, $P_{{FA}}$ = {radar.detector.p_fa:g}",
+            label=f"theory, {law} RCS",
         )
         for law, line in zip(laws, LAWS, strict=False)
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=2)
+    title = f"theory: an echo on the axis of its cell, noise known, $P_{{FA}}$ = {radar.detector.p_fa:g}"
+    figure.legend(handles=handles, title=title, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -97,7 +98,8 @@ def consistency(results: Results) -> Figure:
         known = (~np.isnan(nees)).sum(axis=0)
         with np.errstate(invalid="ignore"):  # 0/0: no track
             means = np.nansum(nees, axis=0) / known
-        low, high = nees_band(np.maximum(known.max(axis=1), 1))
+        n = np.where(known > 0, known, nees.shape[0]).min(axis=1)  # the widest band of the targets
+        low, high = nees_band(n)
         axes.fill_between(results.t, low, high, color=FAINT, alpha=0.25, linewidth=0)
         axes.axhline(NEES, color=INK, linewidth=0.8)
         for m, look in enumerate(lines):

@@ -25,7 +25,7 @@ ASK_S = 1.0  # for an answer about tokens
 AGAIN_S = 2.0  # between two looks at all tokens: word of one that is gone may have been lost, or come too early
 _PRESENT = "any-"  # begins the part of a key that is no shard
 _NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
-_MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255: there must be later ones
+_MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255, `LATEST_NS`
 log = logging.getLogger(__name__)
 
 

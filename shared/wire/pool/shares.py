@@ -17,6 +17,7 @@ SETTLE_S = 0.1  # until a token that is shown at another router is seen, too
 YIELD_S = 0.5  # for which an earlier claim must be there: a process that wakes takes its claims back within this time
 UNTAKEN_S = LEASE_S  # after which a shard is taken by any process: the one whose turn it is hangs,
 SUSPENDED_S = 60.0  # ... and for so long no shard is left to it
+LATEST_NS = 8_999_999_999_999_999_999  # since 1970, of a moment that is heeded
 Key = TypeVar("Key")
 
 
@@ -183,4 +184,4 @@ def later_than(moments: Iterable[str], moment: str) -> str:
     """A moment that is later than all of others, whatever their clocks say."""
     nanoseconds, _, random = moment.partition("-")
     newest = max((int(one.partition("-")[0]) for one in moments), default=0)
-    return f"{max(int(nanoseconds), newest + 1):020d}-{random}"
+    return f"{min(max(int(nanoseconds), newest + 1), LATEST_NS):020d}-{random}"

@@ -255,10 +255,36 @@ class _Patient:
 
     def __init__(self, bus: LocalBus) -> None:
         self._bus = bus
-        self.publish, self.refuse, self.close, self.is_drained = bus.publish, bus.refuse, bus.close, bus.is_drained
+        self.publish, self.refuse, self.close = bus.publish, bus.refuse, bus.close
+        self.is_drained, self.has_paused = bus.is_drained, bus.has_paused
 
     def receive(self, timeout_s: float) -> Event | None:
         event = self._bus.receive(0.0)
         if event is None:
             time.sleep(timeout_s)
         return event
+
+
+def test_a_process_that_was_away_while_it_handled_a_message_gets_no_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before its bus has told the core what is no longer its own."""
+    _, bus = network()
+    stop, away = threading.Event(), [True, False]
+
+    def answer(event: Event) -> Sequence[Message]:
+        if isinstance(event, Plan):
+            time.sleep(2.0 * TICK_S)  # a tick is due when it is over
+        elif isinstance(event, Tick):
+            stop.set()
+        return []
+
+    def has_paused() -> bool:
+        if not away.pop(0):
+            return False
+        bus.queue.append(Membership(Role.PLANNER, ()))
+        return True
+
+    monkeypatch.setattr(bus, "has_paused", has_paused)
+    bus.publish(plan(0))
+    core = Scripted(answer)
+    serve(core, bus, stop, Meter(Role.ALLOCATOR))
+    assert [type(event) for event in core.handled] == [Plan, Membership, Tick]

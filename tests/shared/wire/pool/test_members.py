@@ -9,6 +9,7 @@ import pytest
 from cogradar.shared.protocol.topics import ALL_SHARDS, Role, shard_of
 from cogradar.shared.wire.pool import members
 from cogradar.shared.wire.pool.members import Pool
+from cogradar.shared.wire.pool.shares import SETTLE_S
 from cogradar.shared.wire.session import open_session
 
 WITHIN_S = 10.0
@@ -82,6 +83,17 @@ def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
     assert start("a").pool.others() == []
     assert start("b", "zenoh:roof").pool.others() == ["a"]
     assert start("c", "zenoh:roof", "2e4b").pool.others() == []
+
+
+def test_kinds_that_start_at_once_see_each_other_when_they_have_joined(router: str) -> None:
+    one, other = _Process(router, "a"), _Process(router, "b", "zenoh:roof")
+    assert one.pool.others() == other.pool.others() == []
+    for process in (one, other):
+        process.pool._show(process.pool._kind)
+    time.sleep(SETTLE_S)  # as long as each waits before it serves
+    assert (one.pool.others(), other.pool.others()) == (["b"], ["a"])
+    for process in (one, other):
+        process.session.close()
 
 
 def test_one_that_was_frozen_serves_nothing_when_it_goes_on(

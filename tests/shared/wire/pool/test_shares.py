@@ -12,7 +12,7 @@ import pytest
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.topics import ALL_SHARDS, N_SHARD, run_on, shard_of
 from cogradar.shared.wire.membership import LEAVE_AFTER_S, RETURN_S
-from cogradar.shared.wire.pool.shares import SETTLE_S, SUSPENDED_S, UNTAKEN_S, YIELD_S, Shares, later_than
+from cogradar.shared.wire.pool.shares import LATEST_NS, SETTLE_S, SUSPENDED_S, UNTAKEN_S, YIELD_S, Shares, later_than
 
 LOOK_S = 0.1
 
@@ -247,11 +247,13 @@ def test_a_moment_is_later_than_all_that_are_seen() -> None:
     assert later_than(["00000000000000000009-bb", "00000000000000000003-cc"], "00000000000000000007-aa") == (
         "00000000000000000010-aa"
     )
+    latest = f"{LATEST_NS:020d}"  # what is later still is not heeded
+    assert later_than([f"{latest}-bb"], "00000000000000000007-aa") == f"{latest}-aa"
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_whatever_happens_each_shard_is_served_by_one_in_the_end(seed: int) -> None:
-    """And while nothing is later than a claim waits, never by two that see each other."""
+    """However late tokens come, and whoever hangs, is cut off, comes or goes meanwhile."""
     rng = generator(seed, Purpose.FAULT, 0, 0)
     slow_s = float(rng.choice([0.01, 0.08, 1.0]))
     world = _World(lambda: float(rng.random()) * slow_s)
