@@ -219,7 +219,7 @@ class LocalBus:
         return not self.queue
 
     def has_paused(self) -> bool:
-        """False: within one process nobody is away."""
+        """False: in one process there is no other that could do its part."""
         return False
 
     def refuse(self, message: Message, reason: str) -> None:
