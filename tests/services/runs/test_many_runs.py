@@ -1,5 +1,7 @@
 """More runs at once than a system of one process a role used to take: all are the runs that they are alone."""
 
+import pytest
+
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.runs import in_process
 from cogradar.services.topology import Start
@@ -9,6 +11,7 @@ from tests.services.loop import smoke_start
 RUNS = 300
 
 
+@pytest.mark.nightly
 def test_three_hundred_runs_at_once() -> None:
     starts = [smoke_start(dwells=1, seed=1 + i % 3, run=f"run-{i:03d}") for i in range(RUNS)]
     store, network = in_memory(), LocalNetwork()
