@@ -23,7 +23,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser test-browser-by-the-clock screenshots node nightly lint format lock diagram paper beyond skies array reliability notice release sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability notice release sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -64,10 +64,7 @@ test-arm: setup ## test ARM64 and a Haswell under QEMU, alone and beside this on
 # The tests of one file share its runs, and stay in one process; those by the clock have nothing beside them.
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "browser and not nightly" $(if $(ARGS),$(ARGS),--ignore=$(PAGE_BY_THE_CLOCK)) $(PAGE)
-	$(if $(ARGS),,$(MAKE) test-browser-by-the-clock)
-
-test-browser-by-the-clock: setup
-	$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK)
+	$(if $(ARGS),,$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK))
 
 # AsyncAPI's own parser, MessagePack in JavaScript, and axe for the page. Without them their tests are skipped.
 node: ## what some tests run in Node; needs npm

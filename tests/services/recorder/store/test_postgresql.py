@@ -23,6 +23,7 @@ from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store import postgresql
 from cogradar.services.recorder.store.address import Address, shown
 from cogradar.services.recorder.store.copy import copy
 from cogradar.services.recorder.store.postgresql import PostgresqlConnection, numbered
@@ -211,7 +212,8 @@ def test_what_a_campaign_has_kept_is_answered_the_same(postgresql: Server, tmp_p
 
 
 @pytest.mark.parametrize("mode", ["fast", "immediate"])
-def test_a_run_outlives_a_restart_of_the_server(mode: str) -> None:
+def test_a_run_outlives_a_restart_of_the_server(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(postgresql, "RETRY_S", 0.0)  # here time passes in ticks, of which a second has thousands
     expected = in_process.play(START).run["digest"]
     with running() as server:
         url = server.url()
