@@ -117,17 +117,27 @@ def _made(make: Callable[[Start], Core], start: Start) -> Core:
     """The core of a process; of a recorder whose journal another one has, when it is free. Raises BadInput."""
     beat, told = Heartbeat(core=_StandsBy()), ""
     while True:
-        try:
-            return make(start)
-        except InUse as error:
-            if not start.stands_by:
-                raise
-            if str(error) != told:
-                log.warning("%s; this one stands by, and takes over when it is gone", error)
-            told = str(error)
+        if told and _is_missing(start.store):  # who has it holds all runs until it is back: no new one in its place
+            why = f"{start.store} was removed; this one stands by until it is there again"
+        else:
+            try:
+                return make(start)
+            except InUse as error:
+                if not start.stands_by:
+                    raise
+                why = f"{error}; this one stands by, and takes over when it is gone"
+        if why != told:
+            log.warning("%s", why)
+        told = why
         beat()
         start.check()
         time.sleep(HOLDER_POLL_S)
+
+
+def _is_missing(store: str) -> bool:
+    from cogradar.services.recorder.store.followed import Followed
+
+    return Followed(store).identity() is None
 
 
 class _StandsBy:

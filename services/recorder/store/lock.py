@@ -1,5 +1,6 @@
 """One writer per journal: a lock with an owner, on a file beside it."""
 
+import errno
 import json
 import os
 import socket
@@ -11,6 +12,8 @@ from filelock import lock_descriptor, unlock_descriptor
 
 from cogradar.services.errors import BadInput, InUse
 
+_NO_PLACE = {errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG}  # for the file either
+
 
 class JournalLock:
     """The right to write to a journal, until it is released or the process dies, however it dies."""
@@ -20,12 +23,18 @@ class JournalLock:
         self._path = f"{Path(path).resolve()}.lock"
         try:
             self._file = self._take(path)
-            os.truncate(self._file, 0)
-            with suppress(OSError):  # the disk is full: others read that another process has it
-                # On Windows only its holder can read the first byte of a file that is locked.
-                os.write(self._file, b" " + json.dumps(_signature(path, owner)).encode())
+            self.sign(path, owner)
         except OSError as error:
-            raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
+            what = "" if error.errno in _NO_PLACE else "no lock on it: "
+            raise BadInput(f"{path}: {what}{error.strerror}") from None
+
+    def sign(self, path: str, owner: str) -> None:
+        """Say who has it, and which file that is: again, once a new file is there."""
+        with suppress(OSError):  # the disk is full: others read that another process has it
+            os.truncate(self._file, 0)
+            os.lseek(self._file, 0, os.SEEK_SET)
+            # On Windows only its holder can read the first byte of a file that is locked.
+            os.write(self._file, b" " + json.dumps(_signature(path, owner)).encode())
 
     def release(self) -> None:
         """Let others write."""

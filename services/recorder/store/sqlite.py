@@ -47,15 +47,22 @@ class SqliteConnection:
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.name = path
-        self.db = connect(path, read_only=read_only)
+        # First of all: SQLite makes a file that is not there, in the place of one that its writer misses.
+        self._lock = None if read_only or path == MEMORY else JournalLock(path, owner)
+        is_new = self._lock is not None and not Path(path).exists()
+        try:
+            self.db = connect(path, read_only=read_only)
+        except BaseException:
+            if self._lock is not None:
+                self._lock.release()
+            raise
         if path == MEMORY:
             weakref.finalize(self, self.db.close)
         self._limit = Limit(self.db, path)
-        self._lock: JournalLock | None = None
         self._place = Place()
         try:
-            if not read_only and path != MEMORY:
-                self._lock = JournalLock(path, owner)
+            if self._lock is not None and is_new:
+                self._lock.sign(path, owner)
             if not read_only:
                 make(self.db, path)
         except (Failure, sqlite3.Error) as error:

@@ -8,14 +8,19 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
+from typing import cast
 
 import pytest
 
-from cogradar.services.errors import BadInput
+from cogradar.services import process
+from cogradar.services.errors import BadInput, InUse
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.lock import inode_in_use, is_written
+from cogradar.services.topology import Start
+from cogradar.shared.wire.runner import Core
 from tests.services.loop import smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -39,6 +44,41 @@ def test_the_lock_is_of_the_file_whatever_it_is_called(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="in use"):
         Journal(str(tmp_path / "other.db"))
     first.close()
+
+
+def test_one_that_is_refused_makes_no_file_where_it_was_moved_away(tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    first = Journal(str(path))
+    assert inode_in_use(str(path)) == path.stat().st_ino
+    path.rename(tmp_path / "away.db")
+    with pytest.raises(InUse):
+        Journal(str(path))
+    assert not path.exists()
+    (tmp_path / "away.db").rename(path)
+    first.check_place()
+    first.close()
+
+
+def test_one_that_stands_by_waits_while_the_file_is_away(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Also if its lock was moved away with it."""
+    path, lock, looks = tmp_path / "runs.db", tmp_path / "runs.db.lock", count()
+    first = Journal(str(path))
+
+    def check() -> None:
+        look = next(looks)
+        for file in (path, lock) if look in {1, 4} else ():
+            away = file.with_name(f"{file.name}-away")
+            file.rename(away) if look == 1 else away.rename(file)
+        if look == 3:
+            assert not path.exists()
+        elif look == 5:
+            first.close()
+
+    start = Start("recorder-1", store=str(path), check=check)
+    made = process._made(lambda start: cast("Core", Journal(start.store)), start)
+    cast("Journal", made).close()
+    assert next(looks) == 6
+    assert caplog.text.count("was removed; this one stands by") == 1
 
 
 def test_readers_need_no_lock_and_leave_none(tmp_path: Path) -> None:
