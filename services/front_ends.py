@@ -20,7 +20,7 @@ from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import BadInput, StoreFailed
 from cogradar.services.recorder.journal import Journal, Unreadable
-from cogradar.services.recorder.store.address import is_server, shown
+from cogradar.services.recorder.store.address import RECORDED, is_server, recording, shown
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 from cogradar.shared.protocol.topics import FRONT_END_NAME
 from cogradar.shared.scenario.plugins.kinds import FRONT_END
@@ -30,7 +30,6 @@ from cogradar.shared.scenario.plugins.sources import settled as settled_name
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 SIMULATED = "simulated"
-_RECORDED = "recorded:"
 _ZENOH = "zenoh:"
 
 
@@ -42,7 +41,7 @@ def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lam
     """
     if name == SIMULATED:
         return SimulatedFrontEnd.open
-    if name.startswith(_RECORDED):
+    if name.startswith(RECORDED):
         return _recorded(name)
     if name.startswith(_ZENOH):
         return _over_zenoh(name, connect, check)
@@ -51,11 +50,11 @@ def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lam
 
 def settled(name: str) -> str:
     """The same front end, named so that it stays the same: of a recording with the run, and with the whole path."""
-    if not name.startswith(_RECORDED):
+    if not name.startswith(RECORDED):
         open_front_end(name)
         return name
     file, run = _recording(name)
-    return f"{_RECORDED}{file if is_server(file) else Path(file).resolve()}#{run}"
+    return f"{RECORDED}{file if is_server(file) else Path(file).resolve()}#{run}"
 
 
 def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFrontEnd:
@@ -101,7 +100,7 @@ def _recorded(name: str) -> OpenFrontEnd:
 
 def _recording(name: str) -> tuple[str, str]:
     """File and run of a recording; the newest complete run if none is named."""
-    file, _, run = name.removeprefix(_RECORDED).partition("#")
+    file, run = recording(name)
     try:
         with closing(Journal(file, read_only=True)) as journal:
             rows = journal.read(
@@ -129,7 +128,7 @@ def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
         made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, source)
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
-        must = f"must be {SIMULATED}, {_RECORDED}FILE[#RUN], {_ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
+        must = f"must be {SIMULATED}, {RECORDED}FILE[#RUN], {_ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
         raise BadInput(f"{name}: {must if is_none else error}") from None
     return made, source
 

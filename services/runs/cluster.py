@@ -13,7 +13,7 @@ from cogradar.services.certs import own
 from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
 from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.store.address import is_server
+from cogradar.services.recorder.store.address import is_server, without_password
 from cogradar.services.runs.cancel import cancelled_unless_over
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Ask, Progress, Result, RunStopped, program, progress, result, so_far
@@ -262,7 +262,7 @@ class _Told:
     """What the user was told of a run that does not go on as it should."""
 
     def __init__(self, notify: Callable[[str], None], front_end: str) -> None:
-        self._notify, self._front_end = notify, front_end
+        self._notify, self._front_end = notify, without_password(front_end)[0]
         self._hindered = self._silent = ""
 
     def of(self, now: Progress, quiet_s: float) -> Progress:

@@ -17,7 +17,7 @@ from typing import Protocol, Self
 
 from cogradar.services.certs.names import ALLOWED, SETTINGS
 from cogradar.services.errors import BadInput, RunFailed, check_stop
-from cogradar.services.recorder.store.address import Address, is_server, shown
+from cogradar.services.recorder.store.address import without_password
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.services.web.address import inherited, listen, url
 from cogradar.shared.protocol.topics import Role
@@ -190,16 +190,18 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
+        word = ""
         environment = os.environ | {"PYTHONUNBUFFERED": "1", VARIABLE: allowance()}
         if self._certificates is not None:
             environment[CONFIG_VARIABLE] = str(self._certificates / f"{role}.local" / SETTINGS)
             command += ["--allow", str(self._certificates / ALLOWED)] if role is Role.ROUTER else []
         if role is Role.EMULATOR:
-            command += ["--front-end", self._given.front_end]
-        if role in {Role.RECORDER, Role.METRICS}:
-            store = self._given.store or str(Path(self._folder.name, "store.db"))
-            command += ["--store", shown(store)]  # which all users of the machine can read
-            environment |= {"PGPASSWORD": word} if is_server(store) and (word := Address.of(store).password) else {}
+            named, word = without_password(self._given.front_end)  # all users of the machine can read a command
+            command += ["--front-end", named]
+        elif role in {Role.RECORDER, Role.METRICS}:
+            named, word = without_password(self._given.store or str(Path(self._folder.name, "store.db")))
+            command += ["--store", named]
+        environment |= {"PGPASSWORD": word} if word else {}
         http = [self._http] if role is Role.METRICS and self._http is not None else []
         for listener in http:
             command += ["--http", inherited(listener, self._given.http)]

@@ -174,6 +174,7 @@ def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> 
         ("json:__all__", "must be a class or a function"),
         ("recorded:nowhere.db", "no such file"),
         ("decimal:Context", "needs the method transmit"),
+        ("recorded:postgresql://radar:x#y@host/db", "of a password as %2F"),
     ],
 )
 def test_what_is_no_front_end_is_refused(name: str, words: str) -> None:

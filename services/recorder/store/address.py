@@ -11,6 +11,7 @@ from cogradar.services.errors import BadInput
 SCHEMES = ("postgresql://", "postgres://")
 FORM = "postgresql://[USER@]HOST[:PORT]/DATABASE[?schema=NAME]"
 SHORT = "postgresql://..."  # in a line of help
+RECORDED = "recorded:"  # before a store: the front end that plays a run of it
 DEFAULT_SCHEMA = "cogradar"
 _SECRET = {"password", "sslpassword"}  # parameters that are not shown
 
@@ -37,6 +38,8 @@ class Address:
     @classmethod
     def of(cls, name: str) -> Self:
         """From what a user gives. Raises BadInput, which does not quote it: there may be a password in it."""
+        if re.search(r"(?s)#|[/?@].*@", name.partition("://")[2]):  # there a password ends, and its rest is shown
+            raise BadInput("a store on a server: write / # ? @ of a password as %2F %23 %3F %40")
         try:
             parts = urlsplit(name)
             given = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
@@ -52,7 +55,8 @@ class Address:
         shown = _joined(f"{login}{at}{host}{parts.path}", public)
         url = _joined(f"{parts.netloc}{parts.path}", own)
         secrets = {value for key, value in given if key in _SECRET} | {password, unquote(password)}
-        return cls(shown, url, schema, unquote(password), tuple(sorted(secrets - {""}, key=len, reverse=True)))
+        told = dict(given).get("password", unquote(password))  # as libpq has it, the last one
+        return cls(shown, url, schema, told, tuple(sorted(secrets - {""}, key=len, reverse=True)))
 
     def masked(self, text: str) -> str:
         """A text of somebody else, in which a password may be quoted."""
@@ -75,3 +79,21 @@ def label(name: str) -> str:
 def shown(name: str) -> str:
     """The name of a store as it may be printed."""
     return Address.of(name).shown if is_server(name) else name
+
+
+def recording(name: str) -> tuple[str, str]:
+    """Store and run of a front end that plays one; "": no run is named. Raises BadInput."""
+    whole = name.removeprefix(RECORDED)
+    store, _, run = whole.partition("#")
+    if is_server(store):
+        Address.of(whole if "@" in run else store)  # then it is a part of a password
+    return store, run
+
+
+def without_password(name: str) -> tuple[str, str]:
+    """The name of a store, or of a front end, as it may be printed, and the password of its server. Raises BadInput."""
+    if not name.startswith(RECORDED):
+        return shown(name), Address.of(name).password if is_server(name) else ""
+    store, run = recording(name)
+    told, word = without_password(store)
+    return f"{RECORDED}{told}{'#' if run else ''}{run}", word

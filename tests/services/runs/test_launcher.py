@@ -16,8 +16,9 @@ import pytest
 
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.runs import launcher
+from cogradar.services.runs import cluster, launcher
 from cogradar.services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, LocalProcesses, scratch
+from cogradar.services.runs.run import Progress
 
 
 def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:
@@ -60,6 +61,26 @@ def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPa
         with pytest.raises(RunFailed, match=r"(?s)after 0 restarts.*bye"):
             _until_it_fails(processes, lambda: sizes.extend(file.stat().st_size for file in logs.iterdir()))
     assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES
+
+
+def test_no_password_is_on_a_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    store, started = "postgresql://radar:hunter2@127.0.0.1:1/db", dict[str, tuple[list[str], str]]()
+    popen = subprocess.Popen
+
+    def start(command: list[str], **settings: Any) -> Any:
+        started[command[4]] = command, settings["env"].get("PGPASSWORD", "")
+        return popen([sys.executable, "-c", "input()"], **settings)
+
+    monkeypatch.delenv("PGPASSWORD", raising=False)
+    monkeypatch.setattr(subprocess, "Popen", start)
+    given = LocalProcesses(1, store, front_end=f"recorded:{store}#r")
+    with Launcher(given, threading.Event()):
+        assert "hunter2" not in str([command for command, _ in started.values()])
+    assert started["emulator"][0][-1] == "recorded:postgresql://radar@127.0.0.1:1/db#r"
+    assert {role for role, (_, word) in started.items() if word == "hunter2"} == {"emulator", "recorder", "metrics"}
+    waits = Progress(0, 5, None, cluster.EMULATOR, [])
+    told = cluster._Told(lambda _: None, given.front_end).of(waits, 0.0).waiting_for
+    assert told == "recorded:postgresql://radar@127.0.0.1:1/db#r, for the emulator"
 
 
 def test_on_windows_the_user_is_told_what_works_there(monkeypatch: pytest.MonkeyPatch) -> None:
