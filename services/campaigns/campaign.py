@@ -104,11 +104,11 @@ def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:
     asked, there = campaign.document(), journal.campaign()
     (done,) = journal.read("SELECT COUNT(*) AS n FROM run")
     if there is None and done["n"]:
-        return "runs that belong to no campaign; name another file"
+        return "runs that belong to no campaign; name another store"
     if there is None:
         journal.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:
-        return f"another campaign: {differs}; name another file or remove this one"
+        return f"another campaign: {differs}; name another store or remove this one"
     elif not resume:
         return f"{done['n']} of the {len(campaign.starts())} runs of this campaign; add --resume to go on"
     return None

@@ -327,7 +327,7 @@ def store_command(
     """Copy a store into a new one, from a file to a server, or back.
 
     What is committed at this moment is copied, read again and compared row by
-    row. All of it is there afterwards, or nothing.
+    row. A copy that fails leaves an empty store, to which you can copy again.
     """
     with command() as stop:
         from cogradar.services.recorder.store.copy import copy

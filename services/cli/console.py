@@ -161,7 +161,7 @@ ServiceStoreOption = Annotated[
 ]
 StoreOption = Annotated[
     str | None,
-    typer.Option(callback=one_source, help="Read this store file; ask no service.", autocompletion=completion.stores),
+    typer.Option(callback=one_source, help="Read this store; ask no service.", autocompletion=completion.stores),
 ]
 RunFilter = Annotated[str | None, typer.Option("--run", metavar="RUN", help="Only this run.")]
 ScenarioFilter = Annotated[

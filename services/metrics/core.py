@@ -27,6 +27,7 @@ from cogradar.shared.wire.meter import Measures
 from cogradar.shared.wire.queries import NotNow
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
+RETRY_S = 1.0  # between two looks whether a server has a journal
 COMMANDED_S = 5.0  # for which a command is sent again
 MAX_COMMANDS = 100  # that the journal lacks
 log = logging.getLogger(__name__)
@@ -40,6 +41,7 @@ class MetricsCore:
         self._path, self._followed = path, Followed(path)
         self._open: object | None = None  # the identity of the store that is open
         self._away = ""  # why a server does not answer
+        self._retry_s = 0.0  # when it is asked again, if it had no journal
         self.store = in_memory()  # holds no run: there is no journal yet
         self.gather: Callable[[], Gathered] | None = None  # asks all processes; None: there is no router yet
         self.tick_s: float | None = None  # of the last tick
@@ -157,22 +159,26 @@ class MetricsCore:
 
     def _reopen(self) -> None:
         """Open the journal if it is there by now, or if another one has been put in its place."""
-        if (found := self._followed.identity()) in {None, self._open}:
+        if (found := self._followed.identity()) in {None, self._open} or time.monotonic() < self._retry_s:
             return
         try:
             store = Store(Journal(self._path, read_only=True))
         except NoStoreYet as error:
-            if is_server(self._path) and str(error) != self._away:  # a file may be there soon, this may be a mistake
-                self._away = str(error)
-                log.warning("there is no journal yet: %s", error)
+            if is_server(self._path):
+                self._retry_s = time.monotonic() + RETRY_S
+                if str(error) != self._away:  # a file may be there soon, this may be a mistake
+                    self._away = str(error)
+                    log.warning("there is no journal yet: %s", error)
             return
-        before, self.store, self._open = self.store, store, found
+        before, self.store, self._open, self._away = self.store, store, found, ""
         before.close()
         self._behind = [row["run"] for row in store.read("SELECT run FROM run ORDER BY place")]  # the newest first
         log.info("following %s", store.journal.path)
 
     def _look(self) -> None:
-        """Look whether a server answers. Raises StoreFailed."""
+        """Look whether a server answers, once there is a journal. Raises StoreFailed."""
+        if self._open is None:
+            return
         try:
             self.store.journal.check_place()
         except Unreachable as error:

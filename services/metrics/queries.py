@@ -124,7 +124,8 @@ def stored(store: Store, run: str, topic: str, ks: Sequence[int], item: int, col
     found = list[Row]()
     for at in range(0, len(ks), AT_ONCE):
         some = ks[at : at + AT_ONCE]
-        query = f"SELECT {columns} FROM message WHERE run = ? AND topic = ? AND item = ? AND k IN ({_marks(len(some))})"
+        which = f"run = ? AND topic = ? AND item = ? AND k IN ({_marks(len(some))})"
+        query = f"SELECT {columns} FROM message WHERE {which} ORDER BY k"
         found += store.read(query, [run, topic, item, *some])
     return found
 

@@ -83,7 +83,7 @@ class Selection:
         terms, values = ["TRUE"], list[str | int]()
         for name, value in self.filters.items():
             if name == "strategy" and isinstance(value, str):  # also without its hash
-                terms.append("(strategy = ? OR (length(strategy) = ? AND substr(strategy, 1, ?) = ?))")
+                terms.append("(strategy = ? OR (length(strategy) = ? AND substr(strategy, 1, CAST(? AS INTEGER)) = ?))")
                 values += [value, len(value) + N_HASH + 1, len(value), value]
             else:
                 terms.append(f"{name} = ?")

@@ -148,7 +148,8 @@ class Store:
         is_rewound = run in self._scorers and self._scorers[run].k > row["k"]  # the journal was restored
         if is_rewound or run in self._incomplete:
             self._forget(run)
-        self._copy(run, with_scores=row["is_kept"])
+        if not self._copy(run, with_scores=row["is_kept"]):
+            return True
         if row["is_kept"]:
             sums.add(self.scores, KEPT, run, 0)
             self._finished.add(run)
@@ -173,11 +174,14 @@ class Store:
             self._finished.add(run)
         return True
 
-    def _copy(self, run: str, *, with_scores: bool) -> None:
-        """Copy the rows of a run that its scores need to where these are, once."""
+    def _copy(self, run: str, *, with_scores: bool) -> bool:
+        """Copy the rows of a run that its scores need to where these are, once; false if it was dropped meanwhile."""
         if self.scores is self.journal or run in self._copied:
-            return
-        (row,) = self.journal.read("SELECT * FROM run WHERE run = ?", [run])
+            return True
+        rows = self.journal.read("SELECT * FROM run WHERE run = ?", [run])
+        if not rows:
+            return False
+        (row,) = rows
         self._remove_copy(run)
         # A place may be another run's by now: here it means nothing.
         self.scores.add_rows("run", [row | {"document": "", "place": next(self._places)}])
@@ -188,6 +192,7 @@ class Store:
             )
         self.scores.commit()
         self._copied.add(run)
+        return True
 
     def _remove_copy(self, run: str) -> None:
         for table in ("run", *KEPT_TABLES):

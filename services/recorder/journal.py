@@ -19,7 +19,7 @@ from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.trajectories.rows import Rows
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
-PAGE = 4096  # messages that are read at a time; a dwell has fewer, as a rule
+PAGE = 256  # messages that are read at a time, of some kB; a dwell has fewer, as a rule
 _PLACE = "(SELECT COALESCE(MAX(place), 0) + 1 FROM run)"  # after all others
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
 

@@ -1,4 +1,4 @@
-"""Copying a store into an empty one, from a file to a server or back: all of it, or nothing."""
+"""Copying a store into an empty one, from a file to a server or back: all rows, or none."""
 
 import hashlib
 import re
@@ -22,7 +22,7 @@ def copy(source: str, target: str, report: Callable[[str, int], None] = lambda *
 
     The copy is read again, and compared row by row, before it is committed.
 
-    report : gets the table and how many rows of it are copied; what it raises ends the copy, of which nothing is left
+    report : gets the table and how many rows of it are copied; what it raises ends the copy; the target is then empty
 
     Raises BadInput if the target is not empty, StoreFailed.
     """
@@ -72,5 +72,6 @@ def _pages(store: Database, table: str, columns: Sequence[str]) -> Iterator[list
 def _add(digest: Any, rows: Sequence[tuple[Any, ...]]) -> None:
     for row in rows:
         for value in row:
-            digest.update(value if isinstance(value, bytes) else repr(value).encode())
-        digest.update(b"\n")
+            told = value if isinstance(value, bytes) else repr(value).encode()
+            digest.update(f"{type(value).__name__} {len(told)} ".encode())
+            digest.update(told)

@@ -238,6 +238,8 @@ class PostgresqlConnection:
         if statement == "ROLLBACK":
             self._begun = False
             self._quietly("ROLLBACK")
+            if self._lease_s:  # it is undone, too, if it was set in this transaction
+                self._quietly(self._lease.decode())
             return 0
         return self._run(lambda db: db.execute(numbered(statement), parameters)).rowcount
 

@@ -183,6 +183,16 @@ def _in_real_time(sent: list[Message]) -> Store:
     return store
 
 
+def test_a_run_that_is_dropped_while_it_is_copied_has_no_scores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a journal on a server, which another process writes."""
+    store = in_memory()
+    store.journal.add_run(smoke_start())
+    store.scores, read = in_memory().scores, store.journal.read
+    monkeypatch.setattr(store.journal, "read", lambda query, *of: [] if "*" in query else read(query, *of))
+    assert store.derive(["r"])
+    assert store.unreadable == {}
+
+
 def test_a_dwell_is_scored_without_the_plan_that_did_not_come(sent: list[Message]) -> None:
     k = next(scan.k for scan in scans(sent) if scan.t == 3)
     assert _t(_in_real_time(_without(sent, (Plan, k)))) == list(range(1, DWELLS + 1))

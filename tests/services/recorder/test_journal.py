@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -60,6 +61,22 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(version: int, r
     with pytest.raises(BadInput, match=rf"old\.db: store of version {version}.* {SCHEMA_VERSION}"):
         Journal(str(path), read_only=read_only)
     assert path.read_bytes() == before
+
+
+def test_of_a_long_run_few_messages_are_read_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    journal, sizes = Journal(":memory:"), list[int]()
+    for k in range(1000):
+        journal.add_message("r", k, "scan", 0, b"%d" % k)
+    read = journal.rows
+
+    def noted(*asked: Any) -> list[Any]:
+        found = read(*asked)
+        sizes.append(len(found))
+        return found
+
+    monkeypatch.setattr(journal, "rows", noted)
+    assert list(journal.messages("r", ["scan"])) == [b"%d" % k for k in range(1000)]
+    assert max(sizes) <= 256
 
 
 @pytest.mark.usefixtures("either_store")

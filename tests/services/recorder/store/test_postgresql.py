@@ -1,5 +1,6 @@
 """A store on a server: who may write it, what becomes of those who were cut off, and what is refused."""
 
+import hashlib
 import signal
 import subprocess
 import sys
@@ -17,15 +18,17 @@ from typer.testing import CliRunner
 from cogradar.services.campaigns.campaign import results_digest
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput, Deposed, InUse, StoreFailed, Unreachable
-from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics import core as following
+from cogradar.services.metrics.answers import METRICS, answer
 from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.queries import stored
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store import postgresql
 from cogradar.services.recorder.store.address import Address, shown
-from cogradar.services.recorder.store.copy import copy
+from cogradar.services.recorder.store.copy import _add, copy
 from cogradar.services.recorder.store.postgresql import PostgresqlConnection, numbered
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import LocalProcesses
@@ -198,14 +201,18 @@ def test_what_a_campaign_has_kept_is_answered_the_same(postgresql: Server, tmp_p
     recording = take(played, "r")
     assert recording is not None
     found = []
+    filters: list[dict[str, str]] = [
+        {},
+        {"strategy": START.strategy},
+        {"seed": str(START.seed)},
+        {"scenario": START.scenario["name"]},
+    ]
     for name in (str(tmp_path / "c.db"), postgresql.url()):
         with closing(Journal(name)) as journal:
             journal.add_recording(recording, 7)
             journal.add_recording(recording, 8)  # it is there
         with closing(Store(Journal(name, read_only=True))) as store:
-            answers = [
-                answer(store, metric, {"run": "all"}) for metric in ("runs", "p_d", "summary", "picture", "antennas")
-            ]
+            answers = [answer(store, metric, {"run": "all"} | asked) for metric in METRICS for asked in filters]
             found.append((answers, results_digest(store), store.read("SELECT place FROM run")))
     assert found[0] == found[1]
     assert found[0][2] == [{"place": 7}]
@@ -258,6 +265,42 @@ def test_real_processes_outlive_a_restart_of_the_server_with_the_same_digest() -
         )
         assert played.run["digest"] == expected
         assert next(restarts, "done") == "done"
+
+
+def test_a_lease_that_is_set_in_a_transaction_outlives_its_rollback(postgresql: Server) -> None:
+    journal = Journal(postgresql.url())
+    journal.add_run(START)
+    journal.expire_after(10.0)
+    journal.rollback()
+    assert journal.rows("SHOW idle_session_timeout") == [("10s",)]
+    journal.close()
+
+
+def test_messages_come_in_the_order_of_their_dwells(postgresql: Server) -> None:
+    with closing(Store(Journal(postgresql.url()))) as store:
+        for k in (3, 1, 2):
+            store.journal.add_message("r", k, "scan", 0, b"")
+        for way in ("enable_indexscan", "enable_bitmapscan"):  # which would happen to sort them
+            store.journal.rows("SELECT set_config(?, 'off', false)", [way])
+        assert [row["k"] for row in stored(store, "r", "scan", [3, 2, 1], 0, "k")] == [1, 2, 3]
+
+
+def test_a_server_that_is_away_at_first_is_told_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(following, "RETRY_S", 0.0)
+    with running() as server:
+        url = server.url()
+        server.stop()
+        core = MetricsCore(url)
+        for i in range(3):
+            core.handle(Tick(1.0 * i))
+        assert caplog.text.count("there is no journal yet") == 1
+        server.start()
+        Journal(url).close()
+        core.handle(Tick(9.0))
+        assert (core.trouble, core.is_open) == ("", True)
+        core.close()
 
 
 def test_metrics_says_that_a_server_is_away_and_goes_on_when_it_is_back() -> None:
@@ -322,6 +365,14 @@ def test_stores_are_copied_both_ways_and_only_into_empty_ones(postgresql: Server
     assert (done.exit_code, "has rows: copy to a new file or an empty schema" in done.output) == (2, True)
 
 
+def test_values_of_a_row_are_told_apart() -> None:
+    rows = [(1, 23), (12, 3), (b"1", 23), ("1", 23), (None, 123)]
+    digests = [hashlib.sha256() for _ in rows]
+    for digest, row in zip(digests, rows, strict=True):
+        _add(digest, [row])
+    assert len({digest.digest() for digest in digests}) == len(rows)
+
+
 def test_a_copy_that_is_interrupted_leaves_nothing(postgresql: Server, tmp_path: Path) -> None:
     file, url = str(tmp_path / "a.db"), postgresql.url()
     with closing(Store(Journal(file))) as store:
@@ -345,6 +396,8 @@ def test_a_copy_that_is_interrupted_leaves_nothing(postgresql: Server, tmp_path:
         "postgresql://radar:hunter2@127.0.0.1:1/db?nonsense=1",
         "postgresql://radar:hunter2@127.0.0.1:1/db?schema=Hunter",
         "postgresql://[radar:hunter2@/db",
+        *(f"postgresql://radar:hunter2{end}x@127.0.0.1:1/db" for end in ("/", "#", "?", "@", "?schema=")),
+        "postgresql://radar:x/hunter2@127.0.0.1:1/db",
     ],
 )
 def test_no_password_is_said(url: str) -> None:
@@ -360,6 +413,7 @@ def test_addresses() -> None:
         "x",
         "a@b",
     )
+    assert Address.of("postgresql://me@h/db?password=a%40b").password == found.password
     local = Address.of("postgres:///db?host=/run/pg&options=-c%20geqo%3Doff&schema=y")
     assert local.url == "postgresql:///db?host=/run/pg&options=-c%20geqo%3Doff"
     assert repr(found) == f"Address({found.shown!r})"
