@@ -18,7 +18,7 @@ from cogradar.shared.world.disturbance import power_spectrum
 
 Floats = NDArray[np.float64]
 
-FEWEST = 20  # looks of which a share is drawn
+FEWEST = 20  # looks behind a mark
 STEP_DB = 1.0
 LAWS: tuple[Any, ...] = LINES[:3]  # a line for each law of the RCS
 NEES = 4.0  # mean of an honest belief of four dimensions

@@ -1,6 +1,6 @@
 """Which shards one process of a pool serves: decided from the tokens that it sees, and those that it shows.
 
-A process shows a claim to a shard of which it sees no claim, waits until others must have seen it, and serves the shard
+A process that sees no claim to a shard shows one, waits until others must have seen it, and serves the shard
 from then on. Of two claims the one with the lower moment stays. A process keeps a shard that it serves. If it has more
 than its part, and another process less, it gives up those in which no run goes on.
 """
