@@ -117,7 +117,7 @@ def _made(make: Callable[[Start], Core], start: Start) -> Core:
     """The core of a process; of a recorder whose journal another one has, when it is free. Raises BadInput."""
     beat, told = Heartbeat(core=_StandsBy()), ""
     while True:
-        if told and _is_missing(start.store):  # who has it holds all runs until it is back: no new one in its place
+        if told and _is_missing(start.store):  # its recorder holds all runs until the file is back
             why = f"{start.store} was removed; this one stands by until it is there again"
         else:
             try:

@@ -215,7 +215,7 @@ class Journal(Database):
         )
         most = PAGE
         while len(rows := self.rows(query, (run, from_k, end, *topics, most))) == most:  # there may be more
-            last_k = rows[-1][0]  # of which some messages may be missing
+            last_k = rows[-1][0]  # this dwell may be cut by the end of the page
             if last_k == from_k:
                 most *= 2
                 continue

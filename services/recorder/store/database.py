@@ -12,7 +12,7 @@ from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.meter import Durations
 
-KEPT_LEADERS = 100  # of which the store has the epoch and the name
+KEPT_LEADERS = 100  # whose epochs and names the store keeps
 
 
 class Connection(Protocol):

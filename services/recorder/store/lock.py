@@ -29,7 +29,7 @@ class JournalLock:
             raise BadInput(f"{path}: {what}{error.strerror}") from None
 
     def sign(self, path: str, owner: str) -> None:
-        """Say who has it, and which file that is: again, once a new file is there."""
+        """Write the owner and the file's identity into the lock; again, once a new file is there."""
         with suppress(OSError):  # the disk is full: others read that another process has it
             os.truncate(self._file, 0)
             os.lseek(self._file, 0, os.SEEK_SET)

@@ -94,7 +94,7 @@ class Pool:
         self._routers = frozenset(map(str, session.info.routers_zid()))
         self._n_lost = self._n_known = 0  # links to routers that were lost; when this process looked last
         self._link = session.info.declare_transport_events_listener(self._on_link, history=False)
-        there = self._there()  # asked first: just after the subscription the answer may be that there is none
+        there = self._there()  # asked first: an answer just after the subscription may be empty
         self._watch = session.liveliness().declare_subscriber(self._pattern, self._on_token, history=True)
         time.sleep(SETTLE_S)
         seen = {*there, *(token for token, is_there in list(self._arrived) if is_there)}
