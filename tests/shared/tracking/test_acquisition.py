@@ -264,7 +264,10 @@ def _noise_scan(model: TrackerModel, k: int, rng: np.random.Generator) -> Detect
     return bins_scan(n_bin, k=k, bins=np.arange(n_bin, dtype=np.int32), **columns)
 
 
-@pytest.mark.parametrize(("n_range", "rcs"), [(4, "known"), (5, "unknown"), (8, "known"), (40, "mean")])
+@pytest.mark.parametrize(
+    ("n_range", "rcs"),
+    [(4, "known"), (5, "unknown"), (8, "known"), pytest.param(40, "mean", marks=pytest.mark.nightly)],
+)
 def test_noise_alone_is_no_target_however_long_the_acquisition(n_range: int, rcs: str) -> None:
     """Positions begin when a scan first speaks for them, and have fewer neighbours at the first and last range cell."""
     model, rng = _far_apart(n_range, rcs), np.random.default_rng(n_range)
