@@ -126,6 +126,25 @@ def test_a_crash_of_recorder_or_metrics_changes_no_digest(service: str, digests:
     assert run.result()["digest"] == digests[LONG]
 
 
+@pytest.mark.nightly
+def test_with_several_of_every_role_that_may_be_those_that_serve_die_and_the_digest_is_the_same(
+    digests: dict[int, str],
+) -> None:
+    several = {"planner": 4, "emulator": 2, "allocator": 2, "recorder": 2}
+    scales = [part for role, n in several.items() for part in ("--scale", f"{role}={n}")]
+    compose("up", "--detach", "--no-build", "--wait", *scales, COGRADAR_SCENARIO="")
+    assert {role: len(containers(role)) for role in several} == several
+    run = Run(LONG)
+    run.wait_until(10)
+    victims = [each for role in several for each in containers(role)[:1]]
+    for victim in victims:
+        docker("kill", "--signal", "KILL", victim)
+    assert run.row() is None or run.row()["status"] == "running"
+    assert run.result()["digest"] == digests[LONG]
+    assert not any(inspect(victim)["State"]["Running"] for victim in victims)
+    compose("up", "--detach", "--no-build", "--wait", "--scale", f"planner={PLANNERS}", COGRADAR_SCENARIO="")
+
+
 @needs_root
 @pytest.mark.usefixtures("services")
 def test_services_that_crash_are_started_again() -> None:
