@@ -1,6 +1,7 @@
 """The commands about this installation: bench, verify, simulate and chaos."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -243,6 +244,10 @@ def chaos(
         Pace.LOCKSTEP
     ),
     rate: RateOption = None,
+    file: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="In real time: when what was killed, and what tracks did; CSV."),
+    ] = None,
 ) -> None:
     """Kill processes of running systems at random, and check their runs.
 
@@ -252,7 +257,7 @@ def chaos(
     """
     from cogradar.services import kernels
     from cogradar.services.cli.display import RunDisplay
-    from cogradar.services.runs.chaos import all_together, trial, trial_in_real_time
+    from cogradar.services.runs.chaos import all_together, timeline, trial, trial_in_real_time
     from cogradar.services.runs.launcher import LocalProcesses
 
     given = LocalProcesses(planners, pool=pool)
@@ -260,6 +265,9 @@ def chaos(
     with command() as stop:
         loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
         rate_hz = rate_of(loaded, pace, rate)
+        if file is not None and rate_hz == 0.0:
+            raise BadInput("--out: only with --pace realtime; in lockstep kills take no time of a run")
+        _write_timeline(file, ())  # what cannot be written is said before the runs
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.notify, stop)
             for seed in range(1, runs + 1):
@@ -267,6 +275,7 @@ def chaos(
                 if rate_hz > 0.0:
                     seen.append(trial_in_real_time(start, given, kills, report=display.report, stop=stop))
                     failed += not seen[-1].holds
+                    _write_timeline(file, timeline(seen))
                     display.notify(f"seed {seed}: {seen[-1]}")
                     continue
                 tried = trial(start, given, kills, report=display.report, stop=stop)
@@ -277,3 +286,13 @@ def chaos(
         out.print(all_together(seen) if seen else in_peace, soft_wrap=True)
     if failed:
         raise typer.Exit(RunFailed.exit_code)
+
+
+def _write_timeline(file: Path | None, rows: Iterable[tuple[int, str, str, float, float]]) -> None:
+    from cogradar.services.analysis.export.whole import whole
+    from cogradar.services.analysis.pages import as_csv
+
+    if file is not None:
+        texts = [[str(seed), what, which, f"{first:.5g}", f"{last:.5g}"] for seed, what, which, first, last in rows]
+        with whole(file, force=True) as part:
+            part.write_text(as_csv(("seed", "what", "of", "first dwell", "last dwell"), texts), encoding="utf-8")

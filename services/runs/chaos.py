@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -23,6 +23,7 @@ class Chaos:
     def __init__(self, rate: float, seed: int) -> None:
         self._rate, self._seed = rate, seed
         self.victims = list[str]()
+        self.killed_s = list[float]()  # when, by the clock of those that ask
         self._next_s: float | None = None
 
     def victim(self, names: Sequence[str], now_s: float) -> str | None:
@@ -34,6 +35,7 @@ class Chaos:
             return None
         self._next_s = None
         self.victims.append(names[int(rng.integers(len(names)))])
+        self.killed_s.append(now_s)
         return self.victims[-1]
 
     @property
@@ -77,6 +79,7 @@ class RealTimeTrial:
 
     seed: int
     victims: Sequence[str]  # processes, in the order in which they were killed
+    killed_at: Sequence[float]  # ... and the dwell at that time
     continuity: Continuity
     undisturbed: float | None  # completeness of the same run in lockstep, left in peace
 
@@ -119,11 +122,29 @@ def trial_in_real_time(
     Raises RunFailed if the run does not come to its end, Interrupted if `stop` is set meanwhile.
     """
     alone = in_process.play(start.model_copy(update={"rate_hz": 0.0}), stop=stop)
-    chaos = Chaos(rate, start.seed)
+    chaos, zeros_s = Chaos(rate, start.seed), list[float]()
+
+    def note(reached: Progress) -> None:
+        if reached.k is not None:
+            zeros_s.append(time.monotonic() - reached.k / start.rate_hz)
+        report(reached)
+
     with scratch() as folder:
         path = f"{folder}/runs.db"
         given = replace(given, store=path, faults=chaos)
-        played = distributed.play(start, given, report=report, notify=lambda _: None, stop=stop)
+        played = distributed.play(start, given, report=note, notify=lambda _: None, stop=stop)
         with closing(Journal(path, read_only=True)) as journal:
             found = continuity(journal, start, played.picture.get("completeness"))
-    return RealTimeTrial(start.seed, chaos.victims, found, alone.picture.get("completeness"))
+    # A report comes at its dwell or later: the earliest of them tells best when dwell 0 was.
+    zero_s = min(zeros_s, default=0.0)
+    killed_at = [(killed_s - zero_s) * start.rate_hz for killed_s in chaos.killed_s]
+    return RealTimeTrial(start.seed, chaos.victims, killed_at, found, alone.picture.get("completeness"))
+
+
+def timeline(seen: Sequence[RealTimeTrial]) -> Iterator[tuple[int, str, str, float, float]]:
+    """What was when, a row each: seed; "killed", "track", "coast" or "missed"; of what; first and last dwell."""
+    for one in seen:
+        for victim, dwell in zip(one.victims, one.killed_at, strict=True):
+            yield one.seed, "killed", victim, dwell, dwell
+        for span in one.continuity.spans:
+            yield one.seed, span.what, str(span.track or ""), span.first, span.last

@@ -7,8 +7,8 @@ import pytest
 
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.tables import MEMORY
-from cogradar.services.runs.chaos import RealTimeTrial, all_together
-from cogradar.services.runs.continuity import Continuity, continuity
+from cogradar.services.runs.chaos import RealTimeTrial, all_together, timeline
+from cogradar.services.runs.continuity import Continuity, Span, continuity
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.wire.codec import encode
@@ -41,7 +41,8 @@ def _of(journal: Journal, is_lost: Callable[[Message], bool] = lambda _: False, 
 
 
 def test_a_track_that_its_planner_ends_is_no_loss(journal: Journal) -> None:
-    assert _of(journal) == Continuity(tracks=2, ended=0, longest_coast_s=0.0, lost_dwells=0, completeness=0.9)
+    spans = (Span("track", 1, 3, 11), Span("track", 3, 8, 9))
+    assert _of(journal) == Continuity(2, ended=0, longest_coast_s=0.0, lost_dwells=0, completeness=0.9, spans=spans)
 
 
 def test_one_that_goes_without_a_word_is(journal: Journal) -> None:
@@ -63,17 +64,33 @@ def test_one_that_is_doubted_and_goes_without_a_word_is(journal: Journal) -> Non
 def test_the_longest_time_without_a_plan(journal: Journal) -> None:
     away = _of(journal, lambda message: isinstance(message, Plan) and message.target == 0 and 4 <= message.k <= 7)
     assert (away.ended, away.longest_coast_s, away.lost_dwells) == (0, 4 / RATE_HZ, 0)
+    assert [span for span in away.spans if span.what != "track"] == [Span("coast", 1, 4, 7)]
+
+
+def test_a_track_that_has_no_plan_to_the_end_has_coasted(journal: Journal) -> None:
+    away = _of(journal, lambda message: isinstance(message, Plan) and message.target == 0 and message.k >= 9)
+    assert (away.ended, away.longest_coast_s) == (0, 3 / RATE_HZ)
+    assert [span for span in away.spans if span.what != "track"] == [Span("coast", 1, 9, 11)]
 
 
 def test_dwells_that_never_happened_are_time_too(journal: Journal) -> None:
     away = _of(journal, lambda message: getattr(message, "k", 0) in {5, 6})
     assert (away.ended, away.lost_dwells, away.longest_coast_s) == (0, 2, 2 / RATE_HZ)
+    assert [span for span in away.spans if span.what == "missed"] == [Span("missed", None, 5, 6)]
 
 
 def test_all_runs_together_are_told_in_a_line_by_role() -> None:
-    first = RealTimeTrial(1, ["planner-0", "planner-1", "router-0"], Continuity(7, 0, 1.5, 0, None), None)
-    second = RealTimeTrial(2, ["recorder-0"], Continuity(5, 1, 11.25, 3, 0.9), None)
+    victims = ["planner-0", "planner-1", "router-0"]
+    first = RealTimeTrial(1, victims, [3.5, 4.0, 9.0], Continuity(7, 0, 1.5, 0, None), None)
+    second = RealTimeTrial(2, ["recorder-0"], [7.0], Continuity(5, 1, 11.25, 3, 0.9, (Span("coast", 4, 8, 30),)), None)
     assert all_together([first, second]) == (
         "2 runs, 4 processes killed (2 planner, 1 recorder, 1 router); 1 of 12 confirmed tracks ended by a process,"
         " longest time without a plan 11.2 s"
     )
+    assert list(timeline([first, second])) == [
+        (1, "killed", "planner-0", 3.5, 3.5),
+        (1, "killed", "planner-1", 4.0, 4.0),
+        (1, "killed", "router-0", 9.0, 9.0),
+        (2, "killed", "recorder-0", 7.0, 7.0),
+        (2, "coast", "4", 8, 30),
+    ]
