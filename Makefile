@@ -181,7 +181,7 @@ array: setup $(ARRAY)/twelve.toml $(ARRAY)/crowded.toml $(ARRAY)/high.toml ## th
 	$(BIN)/python -m studies.array antennas --into docs/array.md
 	$(BIN)/python -m studies.array blind --into docs/array.md
 	$(BIN)/python -m studies.array noise --recording $(ARRAY)/sea.npy --into docs/array.md
-	$(call WORLD,steered,paper-best $(IN_ARRAY) $(TURNED) --over radar.receiver.separation=joint,40)
+	$(call WORLD,steered,paper-best $(IN_ARRAY) $(TURNED) --over radar.receiver.separation=joint,100)
 	$(call WORLD,twelve,$(ARRAY)/twelve.toml $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,20)
 	$(call WORLD,crowded,$(ARRAY)/crowded.toml --set name=twelve $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,10)
 	$(call WORLD,traffic,traffic $(IN_ARRAY) --over radar.receiver.separation=none$(COMMA)joint --dwells 300,10)
