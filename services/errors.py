@@ -26,6 +26,10 @@ class InUse(BadInput):
     """Another process has the store, and its text names it."""
 
 
+class NoStoreYet(BadInput):
+    """There is no file, an empty one, or a server that does not answer: somebody may be about to make it a store."""
+
+
 class MissingLibrary(BadInput, ModuleNotFoundError):
     """A library that is an extra of ours is not installed; the text says what installs it."""
 

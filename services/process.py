@@ -15,8 +15,9 @@ from typing import Any, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
 from cogradar.services.certs.validity import Validity
-from cogradar.services.errors import BadInput, Deposed, Interrupted, InUse, StoreFailed, check_stop
+from cogradar.services.errors import BadInput, Deposed, Interrupted, InUse, NoStoreYet, StoreFailed, check_stop
 from cogradar.services.health import Heartbeat, Troubled
+from cogradar.services.recorder.store.address import unsaid
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.topics import Role, topics_read_by
@@ -41,7 +42,7 @@ class _Printable(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The line of a record, and below it where an error came from."""
         said = copy(record)
-        said.msg, said.args = printable(record.getMessage()), None
+        said.msg, said.args = printable(unsaid(record.getMessage())), None
         return printable_lines(super().format(said))
 
 
@@ -115,9 +116,9 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
 
 def _made(make: Callable[[Start], Core], start: Start) -> Core:
     """The core of a process; of a recorder whose journal another one has, when it is free. Raises BadInput."""
-    beat, told = Heartbeat(core=_StandsBy()), ""
+    beat, told, is_lost = Heartbeat(core=_StandsBy()), "", None
     while True:
-        if told and _is_missing(start.store):  # its recorder holds all runs until the file is back
+        if is_lost is not None and is_lost():  # its recorder holds all runs until the file is back
             why = f"{start.store} was removed; this one stands by until it is there again"
         else:
             try:
@@ -125,7 +126,12 @@ def _made(make: Callable[[Start], Core], start: Start) -> Core:
             except InUse as error:
                 if not start.stands_by:
                     raise
+                is_lost = is_lost or _watched(start.store)
                 why = f"{error}; this one stands by, and takes over when it is gone"
+            except NoStoreYet as error:
+                if not told:
+                    raise
+                why = f"{error}; this one stands by until it answers again"
         if why != told:
             log.warning("%s", why)
         told = why
@@ -134,10 +140,10 @@ def _made(make: Callable[[Start], Core], start: Start) -> Core:
         time.sleep(HOLDER_POLL_S)
 
 
-def _is_missing(store: str) -> bool:
+def _watched(store: str) -> Callable[[], bool]:
     from cogradar.services.recorder.store.followed import Followed
 
-    return Followed(store).identity() is None
+    return Followed(store).is_lost
 
 
 class _StandsBy:

@@ -24,7 +24,7 @@ from rich.text import Text
 from cogradar.services.certs import endpoints as written
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
-from cogradar.services.recorder.store.address import SHORT
+from cogradar.services.recorder.store.address import SHORT, unsaid
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.scenario.faults import allowed, printable, printable_lines
 from cogradar.shared.scenario.files import ScenarioError
@@ -299,7 +299,7 @@ def progress(console: Console, each_s: float = LINE_S) -> Iterator[Callable[[str
 
 def complain(text: str) -> None:
     """Say what is wrong, on standard error: in a pipe a line for a line."""
-    whole = "\n".join(printable(line) for line in text.splitlines())
+    whole = "\n".join(printable(line) for line in unsaid(text).splitlines())
     if err.is_terminal:
         say(whole, err, "red")
     else:

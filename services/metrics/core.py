@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from cogradar.services.errors import StoreFailed, Unreachable
+from cogradar.services.errors import NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.metrics.answers import NO_ROOM, answer
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
@@ -20,7 +20,6 @@ from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.address import is_server
 from cogradar.services.recorder.store.followed import Followed
-from cogradar.services.recorder.store.tables import NoStoreYet
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message
 from cogradar.shared.wire.meter import Measures

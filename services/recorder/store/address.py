@@ -14,6 +14,7 @@ SHORT = "postgresql://..."  # in a line of help
 RECORDED = "recorded:"  # before a store: the front end that plays a run of it
 DEFAULT_SCHEMA = "cogradar"
 _SECRET = {"password", "sslpassword"}  # parameters that are not shown
+_QUOTED = re.compile(r"(?i)(postgres(?:ql)?:/+[^\s:@/]*:)\S+(?=@)|(password=)[^\s&]+")
 
 
 def is_server(name: str) -> bool:
@@ -81,12 +82,18 @@ def shown(name: str) -> str:
     return Address.of(name).shown if is_server(name) else name
 
 
+def unsaid(text: str) -> str:
+    """A text for people, without passwords of addresses that are quoted in it, as of one at a wrong place."""
+    return _QUOTED.sub(lambda found: f"{found[1] or found[2]}***", text)
+
+
 def recording(name: str) -> tuple[str, str]:
     """Store and run of a front end that plays one; "": no run is named. Raises BadInput."""
     whole = name.removeprefix(RECORDED)
     store, _, run = whole.partition("#")
     if is_server(store):
-        Address.of(whole if "@" in run else store)  # then it is a part of a password
+        # A run has no such signs: then it is a part of a password.
+        Address.of(whole if "@" in run or _SECRET & dict(parse_qsl(urlsplit(store).query)).keys() else store)
     return store, run
 
 

@@ -10,7 +10,7 @@ class Followed:
     """A store of this name."""
 
     def __init__(self, name: str) -> None:
-        self._name, self._is_server = name, is_server(name)
+        self._name, self._is_server, self._was_there = name, is_server(name), False
 
     def identity(self) -> object | None:
         """Changes when another one is put in its place; None: there is none yet. What a server has, it has itself."""
@@ -18,9 +18,15 @@ class Followed:
             return self._name
         try:
             status = Path(self._name).stat()
-        except FileNotFoundError:
+        except OSError:  # or what was a folder is none, or a file system does not answer
             return None
         return status.st_dev, status.st_ino
+
+    def is_lost(self) -> bool:
+        """Whether it was there, or its writer has signed for it, and it is not there now."""
+        is_there = self.identity() is not None
+        self._was_there = self._was_there or is_there
+        return not is_there and (self._was_there or inode_in_use(self._name) is not None)
 
     def trouble(self) -> str:
         """What keeps it from being written, as far as it is seen from here; "": nothing."""

@@ -24,9 +24,9 @@ from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from psycopg.types.numeric import Int8Dumper
 from psycopg.types.string import StrDumper
 
-from cogradar.services.errors import BadInput, Failure, InUse, NoRoom, StoreFailed, Unreachable
+from cogradar.services.errors import BadInput, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.recorder.store.address import FORM, Address
-from cogradar.services.recorder.store.tables import SCHEMA_VERSION, NoStoreYet, described, statements
+from cogradar.services.recorder.store.tables import SCHEMA_VERSION, described, statements
 from cogradar.shared.scenario.faults import printable
 
 OLDEST = 14  # version of the server: the first one that ends silent sessions
@@ -91,7 +91,10 @@ class PostgresqlConnection:
             self._check()
         except (Failure, psycopg.Error) as error:
             self.close()
-            raise error if isinstance(error, BadInput) else BadInput(str(self._failure(error))) from None
+            fault = self._failure(error)
+            if isinstance(fault, Unreachable):
+                raise NoStoreYet(str(fault)) from None
+            raise fault if isinstance(fault, BadInput) else BadInput(str(fault)) from None
 
     def _connected(self) -> _Connection:
         """A new session. Raises Unreachable."""
@@ -169,6 +172,8 @@ class PostgresqlConnection:
         until = time.monotonic() + TAKE_WITHIN_S
         while not self._take_lock():
             if time.monotonic() > until:
+                with suppress(NoStoreYet):  # it may be about to be made
+                    self._check()  # what is no store is said now, not when the lock is free
                 raise InUse(f"{self.name}: in use by {self._holder()}")
             time.sleep(POLL_S)
 

@@ -16,9 +16,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.errors import BadInput, Displaced, Failure, NoRoom, StoreFailed
+from cogradar.services.errors import BadInput, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
 from cogradar.services.recorder.store.lock import JournalLock
-from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, NoStoreYet, statements
+from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, statements
 from cogradar.shared.scenario.faults import printable
 
 APPLICATION_ID = 0x636F6772  # "cogr"
@@ -48,7 +48,12 @@ class SqliteConnection:
         """
         self.name = path
         # First of all: SQLite makes a file that is not there, in the place of one that its writer misses.
-        self._lock = None if read_only or path == MEMORY else JournalLock(path, owner)
+        try:
+            self._lock = None if read_only or path == MEMORY else JournalLock(path, owner)
+        except InUse:
+            with suppress(NoStoreYet):  # it may be about to be made
+                connect(path, read_only=True).close()  # what is no store is said now, not when the lock is free
+            raise
         is_new = self._lock is not None and not Path(path).exists()
         try:
             self.db = connect(path, read_only=read_only)

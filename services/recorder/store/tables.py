@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from cogradar.services.errors import BadInput
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
@@ -96,10 +95,6 @@ class Recording:
     scores: list[dict[str, Any]]
     picture: list[dict[str, Any]]
     messages: list[dict[str, Any]]
-
-
-class NoStoreYet(BadInput):
-    """There is no file, or an empty one: somebody may be about to make it a store."""
 
 
 class Described(NamedTuple):

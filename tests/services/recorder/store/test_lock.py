@@ -3,11 +3,13 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 from typing import cast
@@ -18,7 +20,8 @@ from cogradar.services import process
 from cogradar.services.errors import BadInput, InUse
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.store.lock import inode_in_use, is_written
+from cogradar.services.recorder.store.followed import Followed
+from cogradar.services.recorder.store.lock import JournalLock, inode_in_use, is_written
 from cogradar.services.topology import Start
 from cogradar.shared.wire.runner import Core
 from tests.services.loop import smoke_start
@@ -79,6 +82,34 @@ def test_one_that_stands_by_waits_while_the_file_is_away(tmp_path: Path, caplog:
     cast("Journal", made).close()
     assert next(looks) == 6
     assert caplog.text.count("was removed; this one stands by") == 1
+
+
+def test_one_that_stands_by_makes_the_file_that_its_holder_died_before_making(tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    holder = JournalLock(str(path), "recorder-0")
+    start = Start("recorder-1", store=str(path), check=holder.lose)
+    made = cast("Journal", process._made(lambda start: cast("Core", Journal(start.store)), start))
+    assert path.exists()
+    made.close()
+
+
+def test_one_that_could_never_take_over_is_told_at_once(tmp_path: Path) -> None:
+    """The file is of another version: after an upgrade its recorder goes on, of the older program."""
+    path = tmp_path / "runs.db"
+    Journal(str(path)).close()
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("PRAGMA user_version=3")
+    holder = JournalLock(str(path), "recorder-0")
+    with pytest.raises(BadInput, match="version 3") as refused:
+        Journal(str(path))
+    assert not isinstance(refused.value, InUse)
+    holder.release()
+
+
+def test_a_store_below_a_file_is_none(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    followed = Followed(str(tmp_path / "file" / "runs.db"))
+    assert (followed.identity(), followed.is_lost()) == (None, False)
 
 
 def test_readers_need_no_lock_and_leave_none(tmp_path: Path) -> None:

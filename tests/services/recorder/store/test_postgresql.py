@@ -8,16 +8,20 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import psycopg
 import pytest
 from typer.testing import CliRunner
 
+from cogradar.services import process
 from cogradar.services.campaigns.campaign import results_digest
 from cogradar.services.cli.app import app
-from cogradar.services.errors import BadInput, Deposed, InUse, StoreFailed, Unreachable
+from cogradar.services.errors import BadInput, Deposed, InUse, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.metrics import core as following
 from cogradar.services.metrics.answers import METRICS, answer
 from cogradar.services.metrics.core import MetricsCore
@@ -33,9 +37,11 @@ from cogradar.services.recorder.store.postgresql import PostgresqlConnection, nu
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
+from cogradar.services.topology import Start
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message
 from cogradar.shared.wire.queries import NotNow
+from cogradar.shared.wire.runner import Core
 from tests.postgresql import Server, running
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import scans, smoke_start
@@ -242,6 +248,38 @@ def test_a_run_outlives_a_restart_of_the_server(mode: str, monkeypatch: pytest.M
         journal.close()
 
 
+def test_one_that_stands_by_outlives_a_restart_of_the_server_and_takes_over(caplog: pytest.LogCaptureFixture) -> None:
+    with running() as server:
+        first, looks = Journal(server.url("runs")), count()
+
+        def check() -> None:
+            look = next(looks)
+            if look == 0:
+                server.stop()
+            elif look == 1:
+                server.start()
+                first.close()
+
+        start = Start("recorder-1", store=server.url("runs"), check=check)
+        cast("Journal", process._made(lambda start: cast("Core", Journal(start.store)), start)).close()
+        with pytest.raises(NoStoreYet):  # who has not begun to stand by is refused
+            process._made(
+                lambda start: cast("Core", Journal(start.store)), replace(start, store=server.url() + "&port=1")
+            )
+    assert "stands by until it answers again" in caplog.text
+
+
+def test_one_that_could_never_take_over_is_told_at_once(postgresql: Server) -> None:
+    url = postgresql.url()
+    first = Journal(url)
+    first.write("UPDATE store SET version = 3")
+    first.commit()
+    with pytest.raises(BadInput, match="version 3") as refused:
+        Journal(url)
+    assert not isinstance(refused.value, InUse)
+    first.close()
+
+
 @pytest.mark.slow
 @pytest.mark.zenoh
 def test_real_processes_outlive_a_restart_of_the_server_with_the_same_digest() -> None:
@@ -402,6 +440,21 @@ def test_a_copy_that_is_interrupted_leaves_nothing(postgresql: Server, tmp_path:
 )
 def test_no_password_is_said(url: str) -> None:
     done = CliRunner().invoke(app, ["query", "runs", "--store", url])
+    assert (done.exit_code, len(done.output.splitlines()), "hunter2" in done.output) == (2, 1, False)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "postgresql://radar:hunter2@127.0.0.1:1/db",
+        "Recorded:postgresql://radar:hunter2@127.0.0.1:1/db",
+        "recorded: postgresql://radar:hunter2@127.0.0.1:1/db",
+        "recorded:postgresql:/radar:hunter2@127.0.0.1:1/db",
+        "recorded:postgresql://radar@127.0.0.1:1/db?password=top#hunter2",
+    ],
+)
+def test_no_password_of_an_address_at_a_wrong_place_is_said(name: str) -> None:
+    done = CliRunner().invoke(app, ["run", "smoke", "--in-process", "--front-end", name])
     assert (done.exit_code, len(done.output.splitlines()), "hunter2" in done.output) == (2, 1, False)
 
 
