@@ -283,7 +283,7 @@ def _flights(store: Store, experiment: Experiment, name: str) -> Rows:
     """NEES of all targets of a strategy's runs in straight flight and in turns, with intervals over runs."""
     runs = [run["run"] for run in experiment.of(name)]
     store.derive(runs)
-    found = store.scored(*sums.query({run: i for i, run in enumerate(runs)}, None, None, None))
+    found = store.summed(*sums.query({run: i for i, run in enumerate(runs)}, None, None, None))
     columns = [column for columns in OF_FLIGHTS for column in columns]
     totals = np.zeros((len(runs), len(FLIGHTS), len(CONSISTENCY)))
     for row in found:

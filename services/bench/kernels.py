@@ -28,18 +28,21 @@ from cogradar.shared.power.max_min import allocate
 from cogradar.shared.power.urgency import urgency
 from cogradar.shared.power.wide import widened
 from cogradar.shared.protocol.fields import MAX_CELLS
+from cogradar.shared.protocol.messages import Plan
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from cogradar.shared.signal.detector.data_set import DataSet, Processing, wald_tests
-from cogradar.shared.signal.looks import Look
+from cogradar.shared.signal.looks import Look, range_cells
 from cogradar.shared.signal.receiver import threshold, wald_test
-from cogradar.shared.signal.waveform import Signatures
+from cogradar.shared.signal.waveform import Signatures, beam_factor
 from cogradar.shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
 from cogradar.shared.tracking.belief.particle_filter import predict, update
 from cogradar.shared.tracking.belief.resampling import regularise, resample, weigh
 from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.world.array_scene import ArrayScene
+from cogradar.shared.world.cell_scene import CellScene
 from cogradar.shared.world.disturbance import draw
 from cogradar.shared.world.scene import add_echo
 
@@ -235,6 +238,52 @@ def _monopulse() -> list[float]:
     return _repeat(lambda i: DataSet(echoes[i % 8], Signatures(*waveform), STEERED).measure(look, 0.0))
 
 
+def _sky_dwell() -> list[float]:
+    """A dwell of a sky of 100 targets: they fly, each is lit and looked at, and its direction is measured."""
+    scenario, nus = load("paper-best-range"), np.linspace(-0.45, 0.45, 100)
+    target, array, radar = scenario.simulated.targets[0], scenario.radar.array, scenario.radar
+    states = [[60.0 * np.sqrt(1.0 - 4.0 * nu * nu), 0.1, 120.0 * nu, 0.0] for nu in nus.tolist()]
+    targets = [target.model_copy(update={"state": state}) for state in states]
+    scene = CellScene(scenario.simulated.model_copy(update={"targets": targets}), radar, SEED, 0)
+    width, bins = radar.receiver.range_cell_km, angle_bin(nus, array.n_bin).tolist()
+    cells, limit = range_cells(59.0, 61.0, width), threshold(radar.detector.p_fa)
+    looks = [Look(nu, bin_, cells, limit) for nu, bin_ in zip(nus.tolist(), bins, strict=True)]
+    factor = beam_factor(nus, np.full(nus.size, array.power / nus.size), array.n_tx)
+
+    def dwell(i: int) -> object:
+        scene.prepare(i, ())
+        return scene.observe(i, 0.0, factor, looks)
+
+    return _repeat(dwell)
+
+
+def _plan_message() -> list[float]:
+    """A plan of a sky as it is made, sent, read and checked."""
+    said: dict[str, Any] = {
+        "run": "bench",
+        "k": 1,
+        "t": 1,
+        "target": 7,
+        "status": "tracking",
+        "best_bin": 3,
+        "worth": 0.2,
+        "gain": 3.0,
+        "bins": np.array([3], np.int32),
+        "chances": np.array([0.9]),
+        "range_km": 50.0,
+        "nus": np.array([0.1]),
+        "estimate": np.ones(4),
+        "covariance": np.eye(4),
+        "gate": np.array([40.0, 60.0]),
+        "detected": True,
+        "existence": 0.9,
+        "confirmed": True,
+        "in_doubt": False,
+        "modes": np.array([0.8, 0.1, 0.1]),
+    }
+    return _repeat(lambda _: decode(encode(Plan(**said))))
+
+
 def _allocate(n_target: int) -> list[float]:
     asked = [inputs.allocation_problem(n_target, i) for i in range(64)]
     return _repeat(lambda i: allocate(*asked[i % 64], power=1.0, n_tx=100))
@@ -283,6 +332,8 @@ CASES = {
     "array_ranges": Case("390 range cells, a data set each, 100 bins tested from it", 120.0, _array_ranges),
     "array_echoes": Case("8 echoes found in a data set, 100 bins tested beside them", None, _array_echoes),
     "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.36, _monopulse),
+    "sky_dwell": Case("100 targets fly, a look at each; 10^4 channels", None, _sky_dwell),
+    "plan_message": Case("a plan made, encoded, decoded", None, _plan_message),
     "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),

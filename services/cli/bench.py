@@ -41,6 +41,8 @@ KERNELS = (
         "array_ranges",
         "array_echoes",
         "monopulse",
+        "sky_dwell",
+        "plan_message",
     ),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "allocate_equal_12"),
     *("joint_3", "joint_12", "joint_100"),

@@ -63,7 +63,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
 
 def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows:
     """Sums per group and target. `groups` has the number of the group that each run is in."""
-    return store.scored(*sums.query(groups, selection.target, selection.first, selection.last))
+    return store.summed(*sums.query(groups, selection.target, selection.first, selection.last))
 
 
 def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
@@ -239,7 +239,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, time in the bin, outages, errors, mean SNR, what came late, what was lost."""
     found, lost = Rows(), list[bool | None]()
     has_truth = {run["run"]: run["has_truth"] for run in runs}
-    lives = {(row["run"], row["target"]): row for row in store.scored(*sums.lives(list(has_truth)))}
+    lives = {(row["run"], row["target"]): row for row in store.summed(*sums.lives(list(has_truth)))}
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
         means = {name: _mean(row, name) for name in (column.name for column in SCORE if column.mean)}

@@ -36,5 +36,5 @@ def confirmation(store: Store, runs: Sequence[Run]) -> Discovery:
     store.derive(names)
     query = "SELECT run, dt_s FROM run"
     dt_s = {row["run"]: row["dt_s"] for row in store.read(query)}
-    lives = [row for row in store.scored(*sums.lives(names)) if row["visible_t"] is not None]
+    lives = [row for row in store.summed(*sums.lives(names)) if row["visible_t"] is not None]
     return Discovery.of([(row["visible_t"], row["confirmed_t"], row["visible"], dt_s[row["run"]]) for row in lives])

@@ -147,7 +147,7 @@ def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes
 
 def timeline(store: Store, run: str, width: int) -> list[Row]:
     """A run of a known number of tracks in buckets of dwells (`sums.timeline`)."""
-    rows = store.scored(*sums.timeline(run, store.table(run), width))
+    rows = store.summed(*sums.timeline(run, store.table(run), width))
     if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
         (now,) = store.scored(*sums.lost(run, store.table(run), rows[-1]["last"]))
         rows[-1] |= now

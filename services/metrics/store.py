@@ -49,6 +49,7 @@ class Store:
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
+        self._unsummed: dict[str, int] = {}  # runs with scores that are not in the sums yet: the first such dwell t
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
         self.scores.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         self.scores.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
@@ -71,6 +72,13 @@ class Store:
         """Rows of a SELECT of the scores of runs that were derived, and of these runs' own rows without documents."""
         with self._lock:
             return self.scores.read(query, parameters)
+
+    def summed(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Rows of a SELECT of `sums`, over all that is scored."""
+        with self._lock:
+            for run in list(self._unsummed):
+                self._sum(run)
+            return self.scored(query, parameters)
 
     def all_scores(self, run: str) -> list[dict[str, Any]]:
         """The scores that a campaign has kept of a run; of another run those that were derived."""
@@ -216,7 +224,15 @@ class Store:
             self.newest[run] = found[-1]
             self.scores.add_temporary(DERIVED, [score for scored in found for score in scored.targets])
             self.scores.add_temporary("temp.pictured", [scored.picture for scored in found])
-            sums.add(self.scores, DERIVED, run, min(scored.t for scored in found))
+            first = min(scored.t for scored in found)
+            first = self._unsummed[run] = min(first, self._unsummed.get(run, first))
+            # Or when somebody asks: with each dwell of a run a block would be summed sixteen times.
+            if found[-1].t // sums.DWELLS > first // sums.DWELLS:
+                self._sum(run)
+
+    def _sum(self, run: str) -> None:
+        sums.add(self.scores, DERIVED, run, self._unsummed[run])
+        del self._unsummed[run]
 
     def _cut(self, run: str, targets: int, before_k: int) -> None:
         """Forget the scores of the dwells that the journal has cut, by whole blocks of sums."""
@@ -232,6 +248,7 @@ class Store:
         self.forgotten[run] += 1
         self._scorers.pop(run, None)
         self.newest.pop(run, None)
+        self._unsummed.pop(run, None)
         self._finished.discard(run)
         self._kept.discard(run)
         self._cut_k.pop(run, None)

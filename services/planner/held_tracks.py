@@ -44,8 +44,9 @@ class HeldTracks:
         Returns those to be left that were owned until now.
         """
         before, owned, self.owned = self.all, self.owned, tuple(chosen)
-        self._leaving = tuple(m for m in before if m in current and m not in self.owned)
-        self._planned_k = {m: k for m, k in self._planned_k.items() if m in self.owned}
+        now = set(self.owned)
+        self._leaving = tuple(m for m in before if m in current and m not in now)
+        self._planned_k = {m: k for m, k in self._planned_k.items() if m in now}
         if not quietly and before != self.all:
             log.info("%s: owns tracks %s", self._run, ", ".join(str(m + 1) for m in self.owned) or "none")
         return [m for m in self._leaving if m in owned]

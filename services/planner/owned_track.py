@@ -68,6 +68,7 @@ class OwnedTrack:
         self.planned = -1  # dwell of the last plan
         self._model, self._pacing = model, pacing
         self._prediction: Prediction | None = None
+        self._prepared: TrackState | None = None  # of which there is one, or none can be
         self._pending: TrackState | None = None  # to be sent as a snapshot
 
     @property
@@ -100,9 +101,9 @@ class OwnedTrack:
 
     def prepare(self) -> bool:
         """Predict the next dwell before its scan is there; false if there is nothing to do."""
-        if self._prediction is not None:
+        if self._prepared is self.state:
             return False
-        self._prediction = prepare(self._model, self.state)
+        self._prepared, self._prediction = self.state, prepare(self._model, self.state)
         return self._prediction is not None
 
     def snapshot(self, run: str, acknowledged: int) -> Snapshot | None:

@@ -87,12 +87,13 @@ class PlannedRun:
         alive = self.source.alive(self._scans, min(self.resend.k, self._newest))
         self._over.intersection_update(alive)
         there = [m for m in alive if m not in self._over]
-        current = [m for m in there if self._pacing.loses_dwells or self._next_k(m) >= self._newest]
+        current = {m for m in there if self._pacing.loses_dwells or self._next_k(m) >= self._newest}
         for m in self._held.own(self._choose(there), current, quietly=not self.source.is_fixed):
             if m in self._tracks:
                 self._tracks[m].save()
-        self._tracks = {m: track for m, track in self._tracks.items() if m in self._held.all}
-        self._restored.intersection_update(self._held.all)
+        held = set(self._held.all)
+        self._tracks = {m: track for m, track in self._tracks.items() if m in held}
+        self._restored.intersection_update(held)
 
     def _own_changed(self) -> None:
         if not self.source.is_fixed:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -16,6 +17,7 @@ from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import Acquisition, coast, observe, start
 
 Scans = Mapping[int, Scan]  # by dwell, those that are kept
+_owner_of = lru_cache(maxsize=1 << 14)(owner_of)  # asked of all tracks with each scan and checkpoint
 TOLD_SCANS = 64  # newest ones, of which it is told how near the search came to a detection
 
 
@@ -99,7 +101,8 @@ class BornTracks:
 
     def owner(self, workers: Sequence[str]) -> Callable[[int], str]:
         """The worker of each track; "": there is none."""
-        return lambda track: owner_of(self._run, track, workers)
+        there = tuple(workers)
+        return lambda track: _owner_of(self._run, track, there)
 
     def first_k(self, track: int) -> int:
         """The scan that a track needs to begin: the one after its birth."""

@@ -220,12 +220,12 @@ def _watch(
     notify: Callable[[str], None],
     front_end: str,
 ) -> Result:
-    latest, changed, told = None, began, _Told(notify, front_end)
+    latest, before, changed, told = None, None, began, _Told(notify, front_end)
     while True:
         check()
         asked, now, done = time.monotonic(), None, None
         try:
-            now = _progress(query, start, began)
+            now = _progress(query, start, began, before)
             done = result(query, start, began) if now is not None and now.complete else None
             if now is None:
                 resend_start()  # metrics does not know the run: it was not there, or the start was lost
@@ -233,7 +233,7 @@ def _watch(
             pass
         took = time.monotonic() - asked
         if now is not None:
-            now = told.of(now, time.monotonic() - changed)
+            now = before = told.of(now, time.monotonic() - changed)
             report(now)
         if done is not None:
             return done
@@ -248,10 +248,10 @@ def _watch(
             time.sleep(min(POLL_S, left))
 
 
-def _progress(query: Ask, start: RunStart, began: float) -> Progress | None:
+def _progress(query: Ask, start: RunStart, began: float, before: Progress | None) -> Progress | None:
     """Progress of a run. Raises RunStopped with what it came to, RunFailed."""
     try:
-        return progress(query, start)
+        return progress(query, start, before)
     except RunStopped as stopped:
         with suppress(NoAnswer):
             stopped.result = so_far(query, start, began)

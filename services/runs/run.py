@@ -148,8 +148,11 @@ def untold(scenario: Scenario) -> Scenario:
     return scenario
 
 
-def progress(ask: Ask, start: RunStart) -> Progress | None:
-    """Progress of a run, None before metrics knows it. Raises RunFailed if the run ended badly, RunStopped if early."""
+def progress(ask: Ask, start: RunStart, before: Progress | None = None) -> Progress | None:
+    """Progress of a run, None before metrics knows it. Raises RunFailed if the run ended badly, RunStopped if early.
+
+    before : as it was when it was asked last: the targets are asked for only if there are more dwells to sum
+    """
     rows = ask("runs", {"run": start.run})
     if not rows:
         return None
@@ -163,7 +166,7 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
         start.dwells,
         row["k"],
         row["waiting_for"],
-        ask("summary", {"run": start.run}),
+        before.targets if before is not None and before.t == row["t"] else ask("summary", {"run": start.run}),
         row["status"] == "complete",
         row["confirmed"],
         row["reason"] or "",

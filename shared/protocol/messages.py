@@ -41,11 +41,12 @@ from cogradar.shared.protocol.fields import (
     State,
     States,
     UtcSeconds,
+    World,
     check_different,
 )
 from cogradar.shared.protocol.orders import Action, Orders, Settings
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
-from cogradar.shared.scenario.files import parse, parse_radar, parse_world
+from cogradar.shared.scenario.files import parse, parse_radar
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
@@ -149,13 +150,8 @@ class Checkpoint(_Settings):
 class EmulatorCheckpoint(Checkpoint):
     """A checkpoint with what only the emulator may know: recorder -> emulator."""
 
-    world: dict[str, Any] | None  # complete: [world] of a scenario; none: a real front end, which has no such table
+    world: World | None  # complete: [world] of a scenario; none: a real front end, which has no such table
     world_seed: Seed
-
-    @field_validator("world")
-    @classmethod
-    def _world_complete(cls, document: dict[str, Any] | None) -> dict[str, Any] | None:
-        return None if document is None else parse_world(document, "world").model_dump()
 
 
 class Scan(Message):
@@ -369,8 +365,10 @@ def _check_whole_parts(message: Message) -> None:
     """ValueError if some fields of a part are there and others are not."""
     values = vars(message)
     for names in message.PARTS.values():
-        if len({values[name] is None for name in names}) > 1:
-            raise ValueError(f"{', '.join(names)} must be there or not, all of them")
+        is_missing = values[names[0]] is None
+        for name in names:
+            if (values[name] is None) is not is_missing:
+                raise ValueError(f"{', '.join(names)} must be there or not, all of them")
 
 
 def _check_beams(beams: Beams, nus: FloatLists | None, gates: FloatLists | None, roster: Roster | None) -> None:

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from cogradar.shared.numerics.elementwise import modulus, squared_modulus
 from cogradar.shared.numerics.jit import inlined, kernel
 from cogradar.shared.signal.array import around
-from cogradar.shared.signal.receiver import accumulate, band_sums, beamformed, clustered, residual
+from cogradar.shared.signal.receiver import (
+    accumulate,
+    add_bands,
+    beamformed,
+    clustered,
+    match_residual,
+    matched,
+    no_band,
+)
 from cogradar.shared.signal.waveform import Root, Signature, signature
 
 Echo = NDArray[np.complex128]
@@ -101,18 +109,26 @@ def _off_axis_echo(
     nu_hat = nu + off_axis(rho, n)
     u_hat, a_hat = signature(root, nu_hat - np.rint(nu_hat), n)
     power = float(np.sum(squared_modulus(u_hat))) * n
-    noise = y.copy()
-    if power > 0.0:
-        alpha = np.sum(np.conj(a_hat) * beamformed(y, u_hat, n)) / power
-        for i in range(u.size):
-            accumulate(a_hat, -alpha * u_hat[i], noise[i * n : (i + 1) * n])
+    alpha = np.sum(np.conj(a_hat) * beamformed(y, u_hat, n)) / power if power > 0.0 else 0j
+    noise, left = np.empty_like(y), np.zeros(n, np.complex128)
+    for i in range(u.size):
+        row = noise[i * n : (i + 1) * n]
+        row[:] = y[i * n : (i + 1) * n]
+        if power > 0.0:
+            accumulate(a_hat, -alpha * u_hat[i], row)
+        accumulate(row, np.conj(u[i]), left)
     signal = modulus(np.sum(np.conj(a_rx) * received))
     error = (_derivative(n) + rho) * a_rx
     if lags > 0:
-        left = beamformed(noise, u, n)
-        own_power, _, along_v = residual(noise, u, a_rx, left, lags)
-        _, _, along_e = residual(noise, u, error, left, lags)
-        b, b_error = band_sums(along_v, along_e, lags)
+        (own_power, along_v), (_, along_e) = matched(u, a_rx, left), matched(u, error, left)
+        band, error_band = no_band(), no_band()
+        x, z = np.zeros(lags + n, np.complex128), np.zeros(lags + n, np.complex128)
+        for i in range(u.size):
+            row = noise[i * n : (i + 1) * n]
+            match_residual(row, along_v, u[i], a_rx, x[lags:])
+            match_residual(row, along_e, u[i], error, z[lags:])
+            band, error_band = add_bands(x, z, lags, band, error_band)
+        b, b_error = band[0] + 2.0 * band[1], error_band[0] + 2.0 * error_band[1]
     else:
         own_power, b = clustered(noise, u, a_rx)
         _, b_error = clustered(noise, u, error)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.numerics.elementwise import exp, modulus, squared_modulus
-from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.jit import inlined, kernel
 
 LEAST_DOF = 1e-3  # of an estimate from one transmit channel
 
@@ -113,8 +113,15 @@ def correlate(
     y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128], n_lag: int
 ) -> tuple[float, complex, float]:
     """||v||^2, alpha_hat and B of one cell (`wald_test`); v is not formed."""
-    signature_power, alpha_hat, padded = residual(y, u, a_rx, beamformed(y, u, a_rx.size), n_lag)
-    return signature_power, alpha_hat, band_sum(padded, n_lag) if signature_power > 0.0 else 0.0
+    n = a_rx.size
+    signature_power, alpha_hat = matched(u, a_rx, beamformed(y, u, n))
+    if signature_power == 0.0:
+        return 0.0, 0j, 0.0
+    band, x = no_band(), np.zeros(n_lag + n, dtype=np.complex128)
+    for i in range(u.size):
+        match_residual(y[i * n : (i + 1) * n], alpha_hat, u[i], a_rx, x[n_lag:])
+        band = add_band(x, n_lag, band)
+    return signature_power, alpha_hat, band[0] + 2.0 * band[1]
 
 
 @kernel
@@ -127,30 +134,14 @@ def beamformed(y: NDArray[np.complex128], u: NDArray[np.complex128], n: int) -> 
 
 
 @kernel
-def residual(
-    y: NDArray[np.complex128],
-    u: NDArray[np.complex128],
-    a_rx: NDArray[np.complex128],
-    received: NDArray[np.complex128],
-    n_lag: int,
-) -> tuple[float, complex, NDArray[np.complex128]]:
-    """||v||^2, alpha_hat, and x behind l zeros, as `band_sum` takes it, all 0 where nothing is sent; v is not formed.
-
-    received : (n_rx,) u^H Y
-    """
-    n_rx = a_rx.size
-    padded = np.empty(n_lag + y.size, dtype=np.complex128)
-    padded[:n_lag] = 0.0
+def matched(
+    u: NDArray[np.complex128], a_rx: NDArray[np.complex128], received: NDArray[np.complex128]
+) -> tuple[float, complex]:
+    """||v||^2 and alpha_hat, both 0 where nothing is sent; received: (n_rx,) u^H Y."""
     signature_power = float(np.sum(squared_modulus(u)) * np.sum(squared_modulus(a_rx)))
     if signature_power == 0.0:
-        padded[n_lag:] = 0.0
-        return 0.0, 0j, padded
-    alpha_hat = complex(np.sum(np.conj(a_rx) * received) / signature_power)
-    x = padded[n_lag:]
-    for i in range(u.size):
-        row = slice(i * n_rx, (i + 1) * n_rx)
-        _match_residual(y[row], alpha_hat, u[i], a_rx, x[row])
-    return signature_power, alpha_hat, padded
+        return 0.0, 0j
+    return signature_power, complex(np.sum(np.conj(a_rx) * received) / signature_power)
 
 
 @kernel
@@ -186,7 +177,7 @@ def accumulate(y: NDArray[np.complex128], weight: complex, total: NDArray[np.com
 
 
 @kernel
-def _match_residual(
+def match_residual(
     y: NDArray[np.complex128], alpha: complex, u: complex, a_rx: NDArray[np.complex128], x: NDArray[np.complex128]
 ) -> None:
     """x = (y - alpha v) .* v^*, v = u a_R."""
@@ -195,31 +186,49 @@ def _match_residual(
         x[r] = (y[r] - alpha * v) * np.conj(v)
 
 
-@kernel
-def band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
-    """B of x = padded[l:], whose first l are zeros: with the running sum s_n = x_{n-1} + .. + x_{n-l} it is
+Band = tuple[float, float, complex]  # of the rows up to now: sum |x_n|^2, sum Re x_n s_n^*, and s of the next sample
 
-    sum_n |x_n|^2 + 2 Re x_n s_n^*.
+
+@inlined
+def no_band() -> Band:
+    """Before the first row."""
+    return 0.0, 0.0, 0j
+
+
+@kernel
+def add_band(x: NDArray[np.complex128], n_lag: int, before: Band) -> Band:
+    """Add a row to B: with the running sum s_n = x_{n-1} + .. + x_{n-l} it is sum_n |x_n|^2 + 2 Re x_n s_n^*.
+
+    Row by row, as the rows of 10^4 channels are written and read again in a core's first cache.
+
+    x : (l + n,) the last l of the rows before, 0 at first, and the row; left as the next row needs it
     """
-    own, cross, recent = 0.0, 0.0, 0j
-    for n in range(n_lag, padded.size):
-        x = padded[n]
-        own += x.real * x.real + x.imag * x.imag
-        cross += x.real * recent.real + x.imag * recent.imag
-        recent += x - padded[n - n_lag]
-    return own + 2.0 * cross
+    own, cross, recent = before
+    for n in range(n_lag, x.size):
+        one = x[n]
+        own += one.real * one.real + one.imag * one.imag
+        cross += one.real * recent.real + one.imag * recent.imag
+        recent += one - x[n - n_lag]
+    for i in range(n_lag):
+        x[i] = x[x.size - n_lag + i]
+    return own, cross, recent
 
 
 @kernel
-def band_sums(padded: NDArray[np.complex128], other: NDArray[np.complex128], n_lag: int) -> tuple[float, float]:
-    """`band_sum` of two: each sum waits for its last addition, and together they take the time of one."""
-    own, cross, recent, own2, cross2, recent2 = 0.0, 0.0, 0j, 0.0, 0.0, 0j
-    for n in range(n_lag, padded.size):
-        x, z = padded[n], other[n]
-        own += x.real * x.real + x.imag * x.imag
-        own2 += z.real * z.real + z.imag * z.imag
-        cross += x.real * recent.real + x.imag * recent.imag
-        cross2 += z.real * recent2.real + z.imag * recent2.imag
-        recent += x - padded[n - n_lag]
-        recent2 += z - other[n - n_lag]
-    return own + 2.0 * cross, own2 + 2.0 * cross2
+def add_bands(
+    x: NDArray[np.complex128], z: NDArray[np.complex128], n_lag: int, before: Band, before2: Band
+) -> tuple[Band, Band]:
+    """`add_band` of two: each sum waits for its last addition, and together they take less time than one by one."""
+    own, cross, recent = before
+    own2, cross2, recent2 = before2
+    for n in range(n_lag, x.size):
+        one, two = x[n], z[n]
+        own += one.real * one.real + one.imag * one.imag
+        own2 += two.real * two.real + two.imag * two.imag
+        cross += one.real * recent.real + one.imag * recent.imag
+        cross2 += two.real * recent2.real + two.imag * recent2.imag
+        recent += one - x[n - n_lag]
+        recent2 += two - z[n - n_lag]
+    for i in range(n_lag):
+        x[i], z[i] = x[x.size - n_lag + i], z[z.size - n_lag + i]
+    return (own, cross, recent), (own2, cross2, recent2)

@@ -13,9 +13,11 @@ from cogradar.shared.numerics.elementwise import log10, squared_modulus, times
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import embedded, product, singular
 from cogradar.shared.signal.array import steering_vector
+from cogradar.shared.signal.receiver import accumulate
 
 Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
-Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d of the square root (`root`)
+# w_0, U, d and U^H of the square root (`root`)
+Root = tuple[float, NDArray[np.complex128], NDArray[np.float64], NDArray[np.complex128]]
 
 
 def covariance(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -36,8 +38,8 @@ def root(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex
     Cost O(n_tx r^2 + n_tx^2 r) through singular vectors, against O(n_tx^3) for the square root of R itself. Of a
     factor without the symmetry of `antennas` each vector is there twice, turned by 90 degrees, with half of d.
     """
-    level, u, gain = _root_parts(isotropic, factor)
-    return np.asarray(level * np.eye(factor.shape[0]) + product(u * gain, u.conj().T))
+    level, u, gain, hermitian = _root_parts(isotropic, factor)
+    return np.asarray(level * np.eye(factor.shape[0]) + product(u * gain, hermitian))
 
 
 def transmit_signatures(
@@ -82,7 +84,7 @@ class Signatures:
     @property
     def isotropic_level(self) -> float | None:
         """w_0 of a waveform W = w_0 I; None if it has beams."""
-        level, u, _ = self.root
+        level, u, *_ = self.root
         return None if u.shape[1] else level
 
     def at(self, nu: float) -> Signature:
@@ -110,7 +112,9 @@ class Signatures:
         return self._grid
 
     def _work_out(self, nus: NDArray[np.float64]) -> None:
-        a_tx, a_rx = steering_vector(nus, self.root[1].shape[0]), steering_vector(nus, self.n_rx)
+        n_tx = self.root[1].shape[0]
+        a_tx = steering_vector(nus, n_tx)
+        a_rx = a_tx if self.n_rx == n_tx else steering_vector(nus, self.n_rx)
         if self._elements is not None:
             a_tx, a_rx = times(a_tx, self._elements.sent), times(a_rx, self._elements.received)
         halves = _transmitted(self.root, a_tx), a_rx
@@ -122,23 +126,20 @@ class Signatures:
 @kernel
 def signature(root: Root, nu: float, n_rx: int) -> Signature:
     """Both halves of the signature in one direction, for kernels."""
-    level, u, gain = root
+    level, u, gain, hermitian = root
     n_tx = u.shape[0]
     a_tx, a_rx = np.empty(n_tx, np.complex128), np.empty(n_rx, np.complex128)
     for i in range(n_tx):
         a_tx[i] = np.exp(2j * np.pi * nu * i)
     for i in range(n_rx):
-        a_rx[i] = np.exp(2j * np.pi * nu * i)
+        a_rx[i] = a_tx[i] if i < n_tx else np.exp(2j * np.pi * nu * i)
     sent = np.zeros(gain.size, np.complex128)
     for i in range(n_tx):
-        for j in range(gain.size):
-            sent[j] += a_tx[i] * u[i, j]
-    for i in range(n_tx):
-        total = level * a_tx[i]
-        for j in range(gain.size):
-            total += gain[j] * sent[j] * np.conj(u[i, j])
-        a_tx[i] = total
-    return a_tx, a_rx
+        accumulate(u[i], a_tx[i], sent)
+    total = level * a_tx
+    for j in range(gain.size):
+        accumulate(hermitian[j], gain[j] * sent[j], total)
+    return total, a_rx
 
 
 def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
@@ -202,8 +203,8 @@ def _coordinates(factor: NDArray[np.complex128]) -> NDArray[np.float64] | None:
 
 def _transmitted(parts: Root, a: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """W^T a of steering vectors, (n, n_tx) -> (n, n_tx)."""
-    level, u, gain = parts
-    return np.asarray(level * a + product(product(a, u) * gain, u.conj().T))
+    level, u, gain, hermitian = parts
+    return np.asarray(level * a + product(product(a, u) * gain, hermitian))
 
 
 def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> Root:
@@ -213,6 +214,9 @@ def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> Root:
     u, s = singular(embedded(factor) if real is None else real)
     gain = np.sqrt(level**2 + s**2) - level
     if real is not None:
-        return level, antennas(u), gain
-    half = factor.shape[0]
-    return level, u[:half] + 1j * u[half:], 0.5 * gain  # each singular value twice, with two vectors
+        vectors = antennas(u)
+    else:  # each singular value twice, with two vectors
+        half = factor.shape[0]
+        vectors, gain = u[:half] + 1j * u[half:], 0.5 * gain
+    vectors = np.ascontiguousarray(vectors)
+    return level, vectors, gain, np.ascontiguousarray(vectors.conj().T)

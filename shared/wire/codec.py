@@ -32,6 +32,7 @@ ARRAY = 1  # extension type: dtype name, number of axes, length of each, element
 _ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; a message is a map
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
+_HEADS = [struct.Struct(f"<2sB{n_axis}I") for n_axis in range(3)]  # before the elements: see ARRAY
 
 
 Parts = Mapping[type[Message], type[Message]]  # of kinds of messages, with some of their fields
@@ -207,10 +208,9 @@ def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
         return dict(value)
     if isinstance(value, Rows):
         value = value.array
-    if not isinstance(value, np.ndarray) or value.dtype not in NAMES:
+    if not isinstance(value, np.ndarray) or (name := NAMES.get(value.dtype)) is None:
         raise TypeError(f"{type(value).__name__} cannot be sent")
-    head = struct.pack(f"<2sB{value.ndim}I", NAMES[value.dtype], value.ndim, *value.shape)
-    return msgpack.ExtType(ARRAY, head + value.tobytes())
+    return msgpack.ExtType(ARRAY, _HEADS[value.ndim].pack(name, value.ndim, *value.shape) + value.tobytes())
 
 
 def _unpack_array(code: int, data: bytes) -> NDArray[Any]:
@@ -224,9 +224,9 @@ def _unpack_array(code: int, data: bytes) -> NDArray[Any]:
     start = 3 + 4 * n_axis
     if dtype is None or n_axis > 2 or len(data) < start:
         raise BadMessage("array of a kind that is never sent")
-    shape = struct.unpack_from(f"<{n_axis}I", data, 3)
+    _, _, *shape = _HEADS[n_axis].unpack_from(data)
     if len(data) != start + dtype.itemsize * math.prod(shape):
-        raise BadMessage(f"array of shape {shape} does not fit its {len(data)} bytes")
+        raise BadMessage(f"array of shape {tuple(shape)} does not fit its {len(data)} bytes")
     return np.ndarray(shape, dtype, data, start).copy()
 
 

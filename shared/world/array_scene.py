@@ -68,6 +68,7 @@ class ArrayScene(Scene):
         echoes, self.drawn, table = self._echoes(k), [], LookTable.of(looks)
         signatures = Signatures(isotropic, factor, self._array.n_rx)
         signatures.prepare(table.nus.tolist())
+        self._work_out_levels(looks)
         # The radar tests with the signatures that it assumes; echoes have the real antennas' signatures.
         real = signatures
         if self._elements is not None:
@@ -112,8 +113,9 @@ class ArrayScene(Scene):
         nus, alphas, width = spatial_frequency(self.measured_states), self._amplitudes(k), self._receiver.range_cell_km
         alphas *= power(np.sqrt(1.0 - 4.0 * nus**2), self._pattern_exponent)
         echoes: dict[int, list[tuple[float, complex]]] = {}
+        ranges_km = self.range_km.tolist()
         for m in np.flatnonzero(self.present).tolist():
-            for range_cell, share in _straddled(float(self.range_km[m]), width):
+            for range_cell, share in _straddled(ranges_km[m], width):
                 echoes.setdefault(range_cell, []).append((float(nus[m]), share * complex(alphas[m])))
         return echoes
 

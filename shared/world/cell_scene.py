@@ -10,7 +10,6 @@ computed; of the others the largest statistic is drawn from its distribution.
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -33,9 +32,6 @@ class _Echo(NamedTuple):
     alpha: complex
 
 
-_direction = attrgetter("nu")
-
-
 class CellScene(Scene):
     """A scene in which cells know nothing of each other."""
 
@@ -49,18 +45,22 @@ class CellScene(Scene):
         self, k: int, isotropic: float, factor: NDArray[np.complex128], looks: Sequence[Look]
     ) -> list[Measured]:
         echoes, self.drawn = self._echoes(k), []
+        nus = [echo.nu for echo in echoes]
+        self._work_out_levels(looks)
         signatures = Signatures(isotropic, factor, self._array.n_rx)
         signatures.prepare([look.nu for look in looks])
         if not self._is_on_grid:
-            signatures.prepare([echo.nu for echo in echoes])
-        measured = [one for look in looks for one in self._measured(k, look, echoes, signatures)]
+            signatures.prepare(nus)
+        measured = list[Measured]()
+        for look in looks:
+            near = slice(*(bisect_left(nus, look.nu + off) for off in (-self._reach, self._reach)))
+            heard = [echo for echo in echoes[near] if abs(echo.nu - look.nu) < self._reach]
+            measured += self._measured(k, look, heard, signatures)
         self._prepared = {}
         return reported(measured)
 
-    def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
-        """The cells of a look: those with a target, and the loudest of the others."""
-        near = slice(*(bisect_left(echoes, look.nu + off, key=_direction) for off in (-self._reach, self._reach)))
-        heard = [echo for echo in echoes[near] if abs(echo.nu - look.nu) < self._reach]
+    def _measured(self, k: int, look: Look, heard: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
+        """The cells of a look: those with a target of those that it hears, and the loudest of the others."""
         occupied = sorted({echo.range_cell for echo in heard if echo.range_cell in look.cells})
         measured = list[Measured]()
         for cell in occupied if look.cells else [NO_RANGE]:

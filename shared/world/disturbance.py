@@ -4,6 +4,7 @@ Symbols: c_n = w_n + sum_i a_i c_{n-i}, autoregressive; A(z) = prod_i (1 - p_i z
 S_c(nu) power spectrum. Poles of Lisi et al. (arXiv 2112.02628).
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -46,6 +47,14 @@ def power_spectrum(model: str, nu: ArrayLike) -> NDArray[np.float64]:
     return _of_name(model).power_spectrum(nu)
 
 
+def levels(model: str, nus: Sequence[float]) -> list[float]:
+    """S_c of each of these directions, (n,), as of one alone; together they take a fraction of the time."""
+    found = _of_name(model)
+    if isinstance(found, Autoregressive):
+        return found.levels(nus)
+    return [float(found.power_spectrum(nu)) for nu in nus]
+
+
 def _of_name(model: str) -> Disturbance:
     found: Disturbance = resolve(DISTURBANCE, model)
     return found
@@ -83,8 +92,12 @@ def guarded(model: Any, call: Caller) -> Disturbance:
     return _Guarded(made, call)
 
 
+def _response(a: NDArray[np.complex128], nu: ArrayLike) -> Any:
+    return np.sum(times(np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))), a), axis=-1)
+
+
 def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:
-    response = np.sum(times(np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))), a), axis=-1)
+    response = _response(a, nu)
     return np.asarray(1.0 / (response.real**2 + response.imag**2))
 
 
@@ -121,6 +134,11 @@ class Autoregressive:
         The mean over 512 points of a period is exact to rounding: the spectrum's Fourier series falls off as 0.7^|m|.
         """
         return np.asarray(_inverse_square(self._a, nu) / self._mean)
+
+    def levels(self, nus: Sequence[float]) -> list[float]:
+        """`levels`. The square of a number is rounded as its power is, now and then not as the square of an array."""
+        responses = _response(self._a, nus)
+        return [float(1.0 / (one.real**2 + one.imag**2) / self._mean) for one in responses]
 
 
 class Recorded:

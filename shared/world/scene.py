@@ -10,7 +10,6 @@ which every look is tested with one data set (`array_scene`).
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +25,11 @@ from cogradar.shared.signal.looks import NO_RANGE, Look, Measured, range_cell_ce
 from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import Cell
-from cogradar.shared.world.disturbance import draw, power_spectrum
+from cogradar.shared.world.disturbance import draw, levels
 from cogradar.shared.world.targets import Flights, echo_amplitudes
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
+KEPT_LEVELS = 1024  # more than the directions of an acquisition, in which each dwell asks for all of them
 _RANGE_KEY = 1 << 16  # between the keys of one bin's range cells, more than there can be bins
 
 Place = tuple[int, int]  # bin and range cell of a disturbance
@@ -51,12 +51,6 @@ def _add_scaled(y: NDArray[np.complex128], factor: complex, a_rx: NDArray[np.com
         y[r] += factor * a_rx[r]
 
 
-@lru_cache(maxsize=1024)  # more than the directions of an acquisition, in which each dwell asks for all of them
-def _level(disturbance_model: str, nu: float) -> float:
-    """S_c(nu)."""
-    return float(power_spectrum(disturbance_model, nu))
-
-
 class Scene(ABC):
     """One run's targets and the air between them and the radar."""
 
@@ -73,6 +67,7 @@ class Scene(ABC):
         self._at_1_km = np.array([amplitude_at_1_km(echo_db + target.rcs_db) for target in world.targets])
         self._laws = [target.rcs or world.rcs for target in world.targets]
         self._is_on_grid = radar.receiver.cells == "bins"
+        self._levels: dict[float, float] = {}  # S_c by direction
         self._moved: NDArray[np.float64] | None = None  # states at t+1
         self._prepared: dict[tuple[Place, int], NDArray[np.complex128]] = {}  # disturbance by place and dwell
         while self.t < t:
@@ -134,8 +129,12 @@ class Scene(ABC):
         """
 
     def _amplitudes(self, k: int) -> NDArray[np.complex128]:
-        """Echo amplitude alpha of each target in dwell k, (M,)."""
-        return echo_amplitudes(self.measured_states, self._at_1_km, self._laws, self._seed, k)
+        """Echo amplitude alpha of each target in dwell k, (M,); 0 of one that is not there."""
+        there, alphas = np.flatnonzero(self.present), np.zeros(len(self._laws), dtype=np.complex128)
+        laws, numbers = [self._laws[m] for m in there.tolist()], there.tolist()
+        states = self.measured_states[there]
+        alphas[there] = echo_amplitudes(states, self._at_1_km[there], laws, self._seed, k, numbers)
+        return alphas
 
     def _next_states(self) -> NDArray[np.float64]:
         return self._flights.moved(self.states, self.t + 1)
@@ -151,6 +150,14 @@ class Scene(ABC):
         bin_, range_cell = place
         rng = generator(self._seed, Purpose.DISTURBANCE, bin_ + (range_cell - NO_RANGE) * _RANGE_KEY, k)
         return draw(self._disturbance_model, self._array.n_tx * self._array.n_rx, rng)
+
+    def _work_out_levels(self, looks: Sequence[Look]) -> None:
+        """S_c in the directions of looks that `_loudest_empty` may be asked for: together, that is ten times faster."""
+        if len(self._levels) > KEPT_LEVELS:
+            self._levels = {}
+        new = [look.nu for look in looks if look.cells and look.nu not in self._levels]
+        if new:
+            self._levels |= zip(new, levels(self._disturbance_model, new), strict=True)
 
     def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature_power: float) -> Measured:
         """The largest statistic of the n range cells of a look that have no target, drawn from its distribution.
@@ -172,7 +179,7 @@ class Scene(ABC):
         range_cell = look.cells[0] + int(rng.integers(n))
         for other in occupied:
             range_cell += 1 if other <= range_cell else 0
-        sigma_hat = math.sqrt(_level(self._disturbance_model, look.nu) / signature_power)
+        sigma_hat = math.sqrt(self._levels[look.nu] / signature_power)
         r = math.sqrt(0.5 * statistic)
         alpha_hat = r * sigma_hat * np.exp(2j * np.pi * rng.random())
         cell = Cell(statistic, complex(alpha_hat), sigma_hat, signature_power)

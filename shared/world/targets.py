@@ -34,6 +34,10 @@ class Flights:
             for target in world.targets
         ]
         self._courses = [_course(target) for target in world.targets]
+        self._first_s = np.array([target.first_s for target in world.targets])
+        self._last_s = np.array([target.last_s for target in world.targets])
+        self._heights_km = np.array([target.height_km for target in world.targets])
+        self._climbing = [m for m, course in enumerate(self._courses) if course is not None and course.c.shape[-1] > 2]
         self._period = None if world.repeat_s is None else max(round(world.repeat_s / dt_s), 1)
 
     def begun(self, t: int) -> int:
@@ -55,35 +59,28 @@ class Flights:
         since = t - self.begun(t)
         if since == 0:
             return self.start()
-        out = np.empty_like(states)
+        out, before = np.empty_like(states), states.tolist()
         for m, (target, course) in enumerate(zip(self._targets, self._courses, strict=True)):
             if course is not None:
                 out[m] = _along(course, since * self._dt)
             else:
                 rng = generator(self._seed, Purpose.MOTION, m, t)
-                out[m] = _flown(states[m], target, self._dt, since, self._sigmas[m], rng)
+                out[m] = _flown(before[m], target, self._dt, since, self._sigmas[m], rng)
         return out
 
     def heights(self, t: int) -> NDArray[np.float64]:
         """Heights at clock t, km, (M,)."""
         time = (t - self.begun(t)) * self._dt
-        return np.array(
-            [
-                target.height_km if course is None or course.c.shape[-1] < 3 else max(_at(course, time)[2], 0.0)
-                for target, course in zip(self._targets, self._courses, strict=True)
-            ]
-        )
+        found = self._heights_km.copy()
+        for m in self._climbing:
+            course = self._courses[m]
+            found[m] = 0.0 if course is None else max(_at(course, time)[2], 0.0)
+        return found
 
     def present(self, states: NDArray[np.float64], t: int) -> NDArray[np.bool_]:
         """Which targets are there at clock t: between birth and death, and in the field of view, x >= 0; (M,)."""
         time = (t - self.begun(t)) * self._dt
-        return np.array(
-            [
-                target.first_s <= time <= target.last_s and x >= 0.0
-                for target, x in zip(self._targets, states[:, 0].tolist(), strict=True)
-            ],
-            dtype=np.bool_,
-        )
+        return np.asarray((self._first_s <= time) & (time <= self._last_s) & (states[:, 0] >= 0.0))
 
 
 def _course(target: TargetSection) -> "Akima1DInterpolator | None":
@@ -113,14 +110,15 @@ def _at(course: "Akima1DInterpolator", time: float, derivative: int = 0) -> NDAr
 
 
 def _flown(
-    before: NDArray[np.float64], target: TargetSection, dt: float, t: int, sigma_s: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+    before: Sequence[float], target: TargetSection, dt: float, t: int, sigma_s: float, rng: np.random.Generator
+) -> Sequence[float]:
     """State of a target that flies by itself at clock t since its flight began, (4,) -> (4,); still until its birth.
 
         s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w ~ N(0, sigma_s^2 I_2)
 
     A turn through the angle a in a dwell moves the target along the chord of its arc, whose velocity is that of the
-    middle of the turn times sin(a/2) / (a/2). The process noise is added as without a turn.
+    middle of the turn times sin(a/2) / (a/2). The process noise is added as without a turn. In numbers, and not in
+    arrays of two: a sky has hundreds of targets.
     """
     begin = (t - 1) * dt
     if target.born_s > begin:
@@ -128,19 +126,21 @@ def _flown(
     if dt <= 0.0:
         return before
     angle, faster = _manoeuvred(target, before, begin, begin + dt)
-    chord = _rotated(before[1::2], 0.5 * angle) * np.sinc(0.5 * angle / np.pi) * (0.5 * (1.0 + faster))
-    w = sigma_s * rng.standard_normal(2)
-    after = np.empty(4)
-    after[0::2] = before[0::2] + dt * chord + 0.5 * dt * dt * w
-    after[1::2] = chord + dt * w
-    if angle != 0.0 or faster != 1.0:
-        after[1::2] += _rotated(before[1::2], angle) * faster - chord
+    shortened, mean = 1.0 if angle == 0.0 else float(np.sinc(0.5 * angle / np.pi)), 0.5 * (1.0 + faster)
+    after = list[float]()
+    turned = zip(_rotated(before[1::2], 0.5 * angle), _rotated(before[1::2], angle), strict=True)
+    for place, (middle, end), normal in zip(before[0::2], turned, rng.standard_normal(2).tolist(), strict=True):
+        chord, w = middle * shortened * mean, sigma_s * normal
+        velocity = chord + dt * w
+        if angle != 0.0 or faster != 1.0:
+            velocity += end * faster - chord
+        after += [place + dt * chord + 0.5 * dt * dt * w, velocity]
     if target.stays:
         after[0] = max(after[0], 0.0)
     return after
 
 
-def _manoeuvred(target: TargetSection, state: NDArray[np.float64], begin: float, end: float) -> tuple[float, float]:
+def _manoeuvred(target: TargetSection, state: Sequence[float], begin: float, end: float) -> tuple[float, float]:
     """Angle in rad by which a target turns between these times, and the factor by which it becomes faster.
 
     With g the angle is acceleration / speed times its time. A speed is reached evenly by the end of its turn.
@@ -160,26 +160,33 @@ def _manoeuvred(target: TargetSection, state: NDArray[np.float64], begin: float,
     return angle, faster
 
 
-def _rotated(velocity: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+def _rotated(velocity: Sequence[float], angle: float) -> tuple[float, float]:
     """A velocity, (2,), turned through an angle in rad, from +x towards +y; exactly itself if that is 0."""
     c, s = cos(angle), sin(angle)
-    return np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
+    return c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]
 
 
 def echo_amplitudes(
-    states: NDArray[np.float64], at_1_km: NDArray[np.float64] | float, laws: Sequence[str], seed: int, k: int
+    states: NDArray[np.float64],
+    at_1_km: NDArray[np.float64] | float,
+    laws: Sequence[str],
+    seed: int,
+    k: int,
+    numbers: Sequence[int] | None = None,
 ) -> NDArray[np.complex128]:
     """Complex echo amplitude alpha of each target in dwell k, (M, 4) -> (M,).
 
-    states : where the array measures them (`array.in_plane`)
+    states  : where the array measures them (`array.in_plane`)
+    numbers : of these targets in the world; None: they are all
 
     |alpha|^2 by the radar equation, with |alpha| = at_1_km, one or (M,), at 1 km, times a factor by a law of
     `world.rcs`, one of each target; the phase is uniform. Both are drawn anew in each dwell.
     """
-    turns = [generator(seed, Purpose.PHASE, m, k).random() for m in range(states.shape[0])]
+    numbers = range(states.shape[0]) if numbers is None else numbers
+    turns = [generator(seed, Purpose.PHASE, m, k).random() for m in numbers]
     magnitudes = amplitude(at_1_km, states[:, 0] ** 2 + states[:, 2] ** 2)
-    for m, law in enumerate(laws):
+    for i, (m, law) in enumerate(zip(numbers, laws, strict=True)):
         if law in _SHAPES:
             shape = _SHAPES[law]
-            magnitudes[m] *= np.sqrt(generator(seed, Purpose.RCS, m, k).standard_gamma(shape) / shape)
+            magnitudes[i] *= np.sqrt(generator(seed, Purpose.RCS, m, k).standard_gamma(shape) / shape)
     return np.asarray(magnitudes * np.exp(2j * np.pi * np.array(turns)), dtype=np.complex128)

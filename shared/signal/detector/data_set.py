@@ -204,13 +204,15 @@ class DataSet:
             return measured
         if processing.by_range:
             return self._located_by_range(measured)
-        own, is_other, y = self._signatures.at(look.nu), is_beside(self.echoes, look.nu), self._y
-        if is_other.any():
-            y = without(y, self.echoes, is_other)
+        own, y, is_told_apart = self._signatures.at(look.nu), self._y, False
+        if self.echoes.nus.size:
+            is_other = is_beside(self.echoes, look.nu)
+            is_told_apart = bool(is_other.any())
+            y = without(y, self.echoes, is_other) if is_told_apart else y
         rho, rho_sigma, sigma_hat = off_axis_echo(y, own, self._signatures.root, look.nu, self._lags)
         # Beside other echoes less is left of the signature, and alpha_hat is less certain.
         whole = self._signatures.power_at(look.nu)
-        sigma_hat *= np.sqrt(whole / cell.signature_power) if is_other.any() else 1.0
+        sigma_hat *= np.sqrt(whole / cell.signature_power) if is_told_apart else 1.0
         cell = cell._replace(sigma_hat=sigma_hat or cell.sigma_hat)
         if not processing.monopulse:
             return measured._replace(cell=cell)

@@ -40,7 +40,7 @@ from cogradar.shared.numerics.fourier import fourier
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.linear import product, solve
 from cogradar.shared.signal.monopulse import off_axis, ratio
-from cogradar.shared.signal.receiver import LEAST_DOF, accumulate, band_sum, beamformed
+from cogradar.shared.signal.receiver import LEAST_DOF, accumulate, add_band, beamformed, no_band
 from cogradar.shared.signal.waveform import Root, Signature, Signatures, signature
 
 Complexes = NDArray[np.complex128]
@@ -305,22 +305,22 @@ def _fitted(
     if np.sum(modulus(own_u)) == 0.0:
         return 0j, 0.0, 0.0, 0.0
     alphas, c = _solved(y, u, a)
-    padded = np.zeros(lags + y.size, np.complex128)
-    x = padded[lags:]
+    band, x = no_band(), np.zeros(lags + n_rx, np.complex128)
+    row = x[lags:]
     clusters, weights = 0.0, np.zeros(n_tx)
     for i in range(n_tx):
         e, left = np.zeros(n_rx, np.complex128), y[i * n_rx : (i + 1) * n_rx].copy()
         for j in range(m):
             accumulate(a[j], c[j] * u[j, i], e)
             accumulate(a[j], -alphas[j] * u[j, i], left)
-        row = x[i * n_rx : (i + 1) * n_rx]
         _match(left, e, row)
         total = np.sum(row)
         clusters += total.real * total.real + total.imag * total.imag
         weights[i] = np.sum(e.real * e.real + e.imag * e.imag)
+        band = add_band(x, lags, band)
     power = 1.0 / c[0].real
     if lags > 0:
-        return alphas[0], band_sum(padded, lags), power, 0.0
+        return alphas[0], band[0] + 2.0 * band[1], power, 0.0
     dof = np.sum(weights) ** 2 / np.sum(weights * weights) - 1.0
     return alphas[0], clusters * (dof + 1.0) / max(dof, LEAST_DOF), power, dof
 

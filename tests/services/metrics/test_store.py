@@ -269,6 +269,25 @@ def test_scores_that_a_fault_of_the_store_cut_off_are_derived_anew(
 
     monkeypatch.setattr(sums, "add", fault)
     with pytest.raises(StoreFailed):
-        store.derive()
+        answer(store, "summary", {})
     assert _scores(store) == _scores(other)
+    assert answer(store, "summary", {}) == answer(other, "summary", {})
+
+
+def test_a_block_is_summed_when_it_is_full_or_when_somebody_asks(
+    sent: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, other, add, n, summed = in_memory(), in_memory(), sums.add, 1, 0
+
+    def counted(*given: Any) -> None:
+        nonlocal summed
+        summed += 1
+        add(*given)
+
+    _record(sent, store)
+    _record(sent, other)
+    monkeypatch.setattr(sums, "add", counted)
+    while not store.derive(most=1):
+        n += 1
+    assert summed <= n // sums.DWELLS
     assert answer(store, "summary", {}) == answer(other, "summary", {})

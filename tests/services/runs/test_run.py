@@ -17,7 +17,7 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
 from cogradar.services.runs.launcher import LocalProcesses
-from cogradar.services.runs.run import Progress, Result
+from cogradar.services.runs.run import Progress, Result, Rows, progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -270,3 +270,18 @@ def _signal(name: str, number: signal.Signals) -> None:
     for pid, command in service_processes().items():
         if f"--name {name} " in command or f"service {name} " in command:
             os.kill(pid, number)
+
+
+def test_targets_are_asked_for_when_there_are_more_dwells_to_sum() -> None:
+    row = {"status": "running", "waiting_for": "", "confirmed": None, "reason": "", "fault": None}
+    asked, before = list[str](), None
+    for t, k in ((1, 5), (1, 6), (2, 6)):
+
+        def ask(metric: str, _: dict[str, str], t: int = t, k: int = k) -> Rows:
+            asked.append(metric)
+            return [row | {"t": t, "k": k}] if metric == "runs" else [{"seen": t}]
+
+        before = progress(ask, _start(), before)
+        assert before is not None
+        assert (before.t, before.k, before.targets) == (t, k, [{"seen": t}])
+    assert asked == ["runs", "summary", "runs", "runs", "summary"]

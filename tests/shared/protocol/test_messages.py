@@ -1,5 +1,6 @@
 """Messages check themselves when they are made, so that no process computes with nonsense."""
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,17 @@ import pytest
 from pydantic import ValidationError
 
 from cogradar.shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
-from cogradar.shared.protocol.messages import MAX_FAULT, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.messages import (
+    MAX_FAULT,
+    EmulatorCheckpoint,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+)
 from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode, fields
@@ -170,3 +181,17 @@ def test_a_scan_of_steered_cells_may_have_several_rows_of_a_direction() -> None:
 def test_steered_nonsense_is_refused(changed: dict[str, Any], reason: str) -> None:
     with pytest.raises(ValidationError, match=reason):
         sample(Scan, **changed)
+
+
+def test_a_world_is_checked_once_and_one_of_other_types_again() -> None:
+    """A checkpoint of each dwell says the whole world; what only compares equal was never checked."""
+    world = deepcopy(SMOKE["world"])
+    first, again = (decode(encode(sample(EmulatorCheckpoint, world=world, k=k))) for k in (1, 2))
+    assert isinstance(first, EmulatorCheckpoint)
+    assert isinstance(again, EmulatorCheckpoint)
+    assert first.world == world
+    assert again.world is first.world
+    world["targets"][0]["born_s"] = False
+    assert world == first.world
+    with pytest.raises(ValidationError, match="born_s = False"):
+        sample(EmulatorCheckpoint, world=world)

@@ -42,6 +42,13 @@ def test_spectrum_is_the_product_over_the_poles_with_mean_one(model: str) -> Non
     np.testing.assert_allclose(power_spectrum(model, nus), [unnormalised(nu) / mean for nu in nus], rtol=1e-9)
 
 
+@pytest.mark.parametrize("n", [0, 1, 2000])
+@pytest.mark.parametrize("model", MODELS)
+def test_levels_of_many_directions_are_those_of_each_alone_to_the_last_bit(model: str, n: int) -> None:
+    nus = np.random.default_rng(3).uniform(-0.5, 0.5, n).tolist()
+    assert disturbance.levels(model, nus) == [float(power_spectrum(model, nu)) for nu in nus]
+
+
 def test_range_of_the_ar6_spectrum() -> None:
     """0.283 .. 2.617, 10 dB apart: the extremes of the closed form, to the three decimals printed."""
     spectrum = power_spectrum("ar6-t", np.linspace(-0.5, 0.5, 10_001))

@@ -56,6 +56,7 @@ def test_a_target_does_not_depend_on_the_others() -> None:
     for rcs in ("constant", "swerling1", "swerling3"):
         alphas = echo_amplitudes(STATES, 1.0, 3 * [rcs], 7, 3)
         np.testing.assert_array_equal(echo_amplitudes(STATES[:2], 1.0, 2 * [rcs], 7, 3), alphas[:2])
+        np.testing.assert_array_equal(echo_amplitudes(STATES[1:], 1.0, 2 * [rcs], 7, 3, [1, 2]), alphas[1:])
 
 
 def test_a_turn_is_a_circle_at_constant_speed_and_its_sign_is_its_sense() -> None:
