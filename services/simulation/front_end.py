@@ -1,8 +1,10 @@
 """The simulated front end, watched; a dwell is a pure function, so that it can be cached."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,37 +45,46 @@ class WatchedFrontEnd:
 
     def __init__(self, checkpoint: EmulatorCheckpoint, watch: Watch, faults: ReceiverFaults) -> None:
         self._checkpoint, self._watch, self._faults = checkpoint, watch, faults
+        self._world = _named(checkpoint)
         self._known: tuple[int, GroundTruth] | None = None  # the truth at a clock
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Transmit dwell k and measure."""
         self._watch(self._checkpoint.run, k, t, waveform)
-        start = self._checkpoint
-        scan, truth = simulated(start.world, start.radar, start.world_seed, k, t, waveform)
+        scan, truth = simulated(self._world, k, t, waveform)
         self._known = t, truth
-        return self._faults.measured(start, k, scan)
+        return self._faults.measured(self._checkpoint, k, scan)
 
     def truth(self, t: int) -> GroundTruth:
         """The truth at clock t."""
         if self._known is None or self._known[0] != t:
-            start = self._checkpoint
-            self._known = t, _opened(start.world, start.radar, start.world_seed, 0, t).truth(t)
+            self._known = t, _opened(self._world, t).truth(t)
         return self._known[1]
 
     def close(self) -> None:
         """There is nothing to switch off."""
 
 
-def simulated(
-    world: dict[str, object] | None, radar: dict[str, object], seed: int, k: int, t: int, waveform: Transmission
-) -> tuple[ScanData, GroundTruth]:
-    """Scan and truth of a dwell."""
-    front_end = _opened(world, radar, seed, k, t)
+def simulated(world: bytes, k: int, t: int, waveform: Transmission) -> tuple[ScanData, GroundTruth]:
+    """Scan and truth of a dwell in a world of this name."""
+    front_end = _opened(world, t)
     return front_end.transmit(k, t, waveform), front_end.truth(t)
 
 
-def _opened(world: dict[str, object] | None, radar: dict[str, object], seed: int, k: int, t: int) -> SimulatedFrontEnd:
-    """The world at clock t of dwell k."""
-    scene = {"radar": radar, "seed": 0, "world": world, "world_seed": seed}
-    settings = {"run": "r", "strategy": "orthogonal", "dwells": 1}
-    return SimulatedFrontEnd.open(EmulatorCheckpoint.model_validate(settings | scene | {"k": k, "t": t}))
+_WORLDS: dict[bytes, EmulatorCheckpoint] = {}  # by a digest of all that a scan depends on but dwell and waveform
+
+
+def _named(checkpoint: EmulatorCheckpoint) -> bytes:
+    parts = repr((checkpoint.world, checkpoint.radar, checkpoint.world_seed)).encode()
+    name = hashlib.blake2b(parts, digest_size=16).digest()
+    if name not in _WORLDS:
+        scene = {"radar": checkpoint.radar, "seed": 0, "world": checkpoint.world, "world_seed": checkpoint.world_seed}
+        settings = {"run": "r", "strategy": "orthogonal", "dwells": 1, "k": 0, "t": 0}
+        _WORLDS[name] = EmulatorCheckpoint.model_validate(settings | scene)
+    return name
+
+
+@lru_cache(maxsize=256)
+def _opened(world: bytes, t: int) -> SimulatedFrontEnd:
+    """A world at clock t. It can be used for any dwell of this clock: a scan does not depend on those before."""
+    return SimulatedFrontEnd.open(_WORLDS[world].model_copy(update={"t": t}))

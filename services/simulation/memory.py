@@ -1,6 +1,7 @@
 """A cache of the results of pure functions, since a simulation plays the same runs many thousand times.
 
-Exact: the key is a digest of all arguments, arrays bit for bit. Cached results are read-only.
+Exact: the key is a digest of all arguments, arrays bit for bit. Cached results are read-only. A message that is encoded
+is known only as the same object: to tell an equal one takes longer than to encode it.
 """
 
 import dataclasses
@@ -18,6 +19,7 @@ from cogradar.services.allocator.track_update import updated
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.emulator.cycle import scan_message, transmission
 from cogradar.services.planner.decision import decide
+from cogradar.services.planner.owned_track import born_of
 from cogradar.services.simulation.front_end import simulated
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.tracking.track import observe, start
@@ -27,6 +29,7 @@ T = TypeVar("T")
 PACKAGES = ("cogradar.services.", "cogradar.shared.")
 # Functions whose stored result saves more time than its key takes to compute.
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
+    born_of,
     decode,
     decide,
     encode,
@@ -44,6 +47,8 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
 
 
 _PLAIN = frozenset({bool, float, int, str, type(None)})  # most of what is within arguments
+_FIELDS = "_fields"  # what only named tuples have
+_MISSING = object()
 
 
 class Memory:
@@ -51,23 +56,43 @@ class Memory:
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._results: dict[bytes, Any] = {}
+        self._results: dict[object, Any] = {}
         self._digests: dict[int, tuple[object, bytes]] = {}  # of objects that do not change, which stay alive here
+        self._encoded: dict[int, tuple[object, Any]] = {}  # likewise
 
     def result(self, function: Callable[..., T], args: tuple[Any, ...]) -> T:
         """The result of a function, computed at most once for these arguments."""
-        key = hashlib.blake2b(function.__qualname__.encode(), digest_size=16)
-        for value in args:
-            self._add(key, value)
-        if key.digest() in self._results:
-            known: T = self._results[key.digest()]
-            return known
+        key = self._key(function, args)
+        known = self._results.get(key, _MISSING)
+        if known is not _MISSING:
+            found: T = known
+            return found
         if len(self._results) >= self._most:
             self._results.clear()
         made = function(*args)
         _freeze(made)
-        self._results[key.digest()] = made
+        self._results[key] = made
         return made
+
+    def encoded(self, function: Callable[..., T], args: tuple[Any, ...]) -> T:
+        """The result of a function, computed at most once for this object."""
+        (value,) = args
+        if (known := self._encoded.get(id(value))) is not None:
+            found: T = known[1]
+            return found
+        if len(self._encoded) >= self._most:
+            self._encoded.clear()
+        made = function(value)
+        self._encoded[id(value)] = value, made
+        return made
+
+    def _key(self, function: Callable[..., T], args: tuple[Any, ...]) -> object:
+        if len(args) == 1 and type(args[0]) is bytes:
+            return function.__qualname__, args[0]
+        key = hashlib.blake2b(function.__qualname__.encode(), digest_size=16)
+        for value in args:
+            self._add(key, value)
+        return key.digest()
 
     def _add(self, key: Any, value: Any) -> None:
         if type(value) in _PLAIN:
@@ -84,6 +109,8 @@ class Memory:
                 key.update(value.tobytes())
             case bytes():
                 key.update(b"%d:" % len(value) + value)
+            case tuple() if hasattr(value, _FIELDS):
+                key.update(self._digest(value))
             case tuple() | list():
                 key.update(b"(%d" % len(value))
                 for one in value:
@@ -107,18 +134,30 @@ class Memory:
         """Of an object of named fields, none of which is ever set anew."""
         if (known := self._digests.get(id(value))) is not None:
             return known[1]
-        names = (
-            type(value).model_fields
-            if isinstance(value, BaseModel)
-            else [field.name for field in dataclasses.fields(value)]
-        )
         key = hashlib.blake2b(type(value).__qualname__.encode(), digest_size=16)
-        for name in names:
+        for name in _names(value):
             self._add(key, getattr(value, name))
         if len(self._digests) >= self._most:
             self._digests.clear()
         self._digests[id(value)] = value, key.digest()
         return key.digest()
+
+
+_NAMES: dict[type, tuple[str, ...]] = {}
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    """Fields of a message, a named tuple, or a dataclass."""
+    kind = type(value)
+    if (known := _NAMES.get(kind)) is not None:
+        return known
+    if isinstance(value, BaseModel):
+        names = tuple(type(value).model_fields)
+    elif isinstance(value, tuple):
+        names = tuple(getattr(value, _FIELDS))
+    else:
+        names = tuple(one.name for one in dataclasses.fields(value))
+    return _NAMES.setdefault(kind, names)
 
 
 @contextmanager
@@ -137,9 +176,11 @@ def remembering(most: int) -> Iterator[None]:
 
 
 def _cached(memory: Memory, function: Callable[..., T]) -> Callable[..., T]:
+    result = memory.encoded if function is encode else memory.result
+
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> T:
-        return function(*args, **kwargs) if kwargs else memory.result(function, args)
+        return function(*args, **kwargs) if kwargs else result(function, args)
 
     return call
 
