@@ -24,6 +24,7 @@ from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
+from cogradar.shared.wire.pool.tokens import ZenohTokens
 from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
@@ -226,8 +227,8 @@ def _claimed(role: Role, name: str, session: Session, check: Callable[[], None])
 
 def _joined(role: Role, start: Start, core: Sharing, session: Session, check: Callable[[], None]) -> Pool:
     """The part of a process in the pool of its role and build. Raises BadInput if the others have another front end."""
-    named, begun = (role, start.name, build()), time.monotonic()
-    pool = Pool(session, named, lambda: core.busy, kind=start.front_end, is_spread=start.is_spread)
+    tokens, begun = ZenohTokens(session, role, start.name, build()), time.monotonic()
+    pool = Pool(tokens, lambda: core.busy, kind=start.front_end, is_spread=start.is_spread)
     while others := pool.others():
         if time.monotonic() > begun + HOLDER_WITHIN_S:
             raise BadInput(f"--front-end: {', '.join(others)} has another one; all of a system have the same")

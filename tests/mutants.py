@@ -45,6 +45,7 @@ RECORDER, RUN, JOURNAL = (
 )
 PLANNER, PLANNED, HELD = "services/planner/core.py", "services/planner/run.py", "services/planner/held_tracks.py"
 ALLOCATOR, EMULATOR = "services/allocator/core.py", "services/emulator/core.py"
+MEMBERS, SHARES = "shared/wire/pool/members.py", "shared/wire/pool/shares.py"
 PACING, RESEND = "services/delivery/pacing.py", "services/delivery/resend.py"
 
 MUTANTS = (
@@ -252,6 +253,49 @@ MUTANTS = (
         "services/planner/ownership.py",
         'f"{run}/{target}/{w}".encode()',
         'f"{run}/{target}/{w}/{len(workers)}".encode()',
+    ),
+    # Pools.
+    Mutant(
+        "a process of a pool that was frozen goes on before it asks for claims",
+        MEMBERS,
+        "if (gap_s := now_s - self._looked_s) > PAUSE_S:",
+        "if (gap_s := now_s - self._looked_s) > 1e9:",
+    ),
+    Mutant(
+        "of two claims to a shard both stay",
+        SHARES,
+        "if earlier and (shard not in self.held",
+        "if False and (shard not in self.held",
+    ),
+    Mutant(
+        "the tokens of a pool are never looked at again",
+        MEMBERS,
+        "        if own >= self._shown.keys():\n            others",
+        "        if False:\n            others",
+    ),
+    Mutant(
+        "a core is not told of shards that its process has lost",
+        MEMBERS,
+        "        if self._told == self._shares.held:",
+        "        if self._told is not None and self._told >= self._shares.held:",
+    ),
+    Mutant(
+        "claims of a process that is gone are kept",
+        SHARES,
+        "self._claims = {one: seen for one, seen in self._claims.items() if now_s < seen.absent_s + LEAVE_AFTER_S}",
+        "pass",
+    ),
+    Mutant(
+        "claims are taken while the router is away",
+        SHARES,
+        "if absent and not is_connected():",
+        "if absent and is_connected() is None:",
+    ),
+    Mutant(
+        "a shard is served as soon as it is claimed",
+        SHARES,
+        "(UNTAKEN_S if self._rivals(shard) else SETTLE_S)",
+        "0.0",
     ),
 )
 

@@ -8,7 +8,6 @@ import heapq
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 
 from cogradar.services.allocator.core import AllocatorCore
@@ -17,16 +16,18 @@ from cogradar.services.errors import Deposed, StoreFailed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Retention
-from cogradar.services.simulation.checks import Told
+from cogradar.services.simulation.checks import Told, Violated
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
-from cogradar.services.simulation.links import Links
+from cogradar.services.simulation.network.links import LIVELINESS, Links
+from cogradar.services.simulation.network.tokens import SeenTokens, TokenSpace
 from cogradar.services.simulation.process import SPIN, Clock, Process
 from cogradar.shared.protocol.events import Event, Membership, Shards, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart
-from cogradar.shared.protocol.topics import ALL_SHARDS, BY_MESSAGE, Role
+from cogradar.shared.protocol.topics import ALL_SHARDS, BY_MESSAGE, Role, shard_of
 from cogradar.shared.wire.codec import decode, encode
-from cogradar.shared.wire.runner import TICK_S, Core
+from cogradar.shared.wire.pool.members import Pool
+from cogradar.shared.wire.runner import TICK_S, Core, Sharing
 
 RESTART_S = 0.5  # after which a process that ended by itself is started again
 ASK_TICKS = 8  # of the operator, between two starts of a run of which it hears nothing
@@ -63,13 +64,8 @@ class Asking:
         return ()
 
 
-@dataclass(order=True)
-class _Due:
-    """Something that happens at a time."""
-
-    at_s: float
-    n: int  # of two at the same time the first that was put there
-    do: Callable[[], None] = field(compare=False)
+# Something that happens at a time: when, a number that no other has, and what.
+_Due = tuple[float, int, Callable[[], None]]
 
 
 class Cluster:
@@ -83,11 +79,18 @@ class Cluster:
         *,
         prepares: bool = False,
         keep: Retention | None = None,
+        has_pools: bool = False,
     ) -> None:
-        """`prepares`: processes prepare for what comes next while they are idle."""
+        """Nothing is there yet.
+
+        prepares  : processes prepare for what comes next while they are idle
+        has_pools : emulators and allocators share the runs
+        """
         self.now_s = 0.0
         self.processes: dict[str, Process] = {}
         self.links = Links(seed)
+        self.tokens = TokenSpace(self.at, lambda: self.now_s, self.links)
+        self._has_pools = has_pools
         self.refused: list[str] = []
         self.counts: Counter[str] = Counter()
         self.disk = disk
@@ -102,15 +105,14 @@ class Cluster:
 
     def at(self, at_s: float, do: Callable[[], None]) -> None:
         """Let something happen then."""
-        heapq.heappush(self._due, _Due(at_s, next(self._n), do))
+        heapq.heappush(self._due, (at_s, next(self._n), do))
 
     def step(self, until_s: float) -> bool:
         """Let the next thing happen; false if nothing does until then."""
-        if not self._due or self._due[0].at_s > until_s:
+        if not self._due or self._due[0][0] > until_s:
             return False
-        due = heapq.heappop(self._due)
-        self.now_s = due.at_s
-        due.do()
+        self.now_s, _, do = heapq.heappop(self._due)
+        do()
         return True
 
     def ask(self, starts: Sequence[RunStart], commands: Sequence[Command] = ()) -> None:
@@ -131,6 +133,7 @@ class Cluster:
         process = self.processes.pop(key, None)
         if process is None:
             return
+        self.tokens.leave(key)
         if process.role is Role.RECORDER and process.is_left:
             self.disk.discard_left()
         elif process.role is Role.RECORDER:
@@ -156,18 +159,22 @@ class Cluster:
         self.serve(process)
 
     def tell_members(self) -> None:
-        """Tell the planners of each other, as far as they can see."""
+        """Tell the planners, and the processes of each pool, of each other, as far as they can see."""
+        for key, process in self.processes.items():
+            self.tokens.freeze(key, is_asleep=process.is_dead_to_others)
+        self.tokens.tell()
         planners = [process for process in self.processes.values() if process.role is Role.PLANNER]
         for reader in planners:
             seen = [one for one in planners if not one.is_dead_to_others and not self._is_cut(one, reader)]
             names = tuple(sorted({one.name for one in seen}))
             if names != reader.told:
                 reader.told = names
-                for at_s in self.links.arrivals("liveliness", reader.name, self.now_s):
+                for at_s in self.links.arrivals(LIVELINESS, reader.name, self.now_s):
                     self.at(at_s, partial(self._put, reader, Membership(Role.PLANNER, names)))
 
     def publish(self, sender: Process, message: Message) -> None:
         """Send a message to all its readers."""
+        self._check_serves(sender, message)
         topic, payload = BY_MESSAGE[type(message)], encode(message)
         to = getattr(message, "to", None)
         self.said[payload] = message
@@ -180,12 +187,25 @@ class Cluster:
                 for at_s in arrivals:
                     self.at(at_s, partial(self._put, reader, payload))
 
+    def _check_serves(self, sender: Process, message: Message) -> None:
+        """Raises Violated if another process serves the run of what one sends, and each can know of the other."""
+        if sender.pool is None or not self.tokens.is_whole():
+            return
+        for other in self.processes.values():
+            is_rival = other is not sender and other.role is sender.role and not other.halted
+            if is_rival and shard_of(message.run) in other.holds:
+                what = f"{sender.name} sends a {BY_MESSAGE[type(message)].name} of {message.run}"
+                raise Violated(f"{what}, which {other.name} serves")
+
     def serve(self, process: Process) -> None:
         """Let a process handle what there is for it now."""
         for _ in range(SPIN):
             if not self._is_there(process) or not process.is_free(self.now_s):
                 break
-            if process.inbox:
+            if process.pool is not None and (held := process.pool.news()) is not None:
+                process.holds = held
+                self._handle(process, Shards(held))
+            elif process.inbox:
                 item = process.inbox.popleft()
                 self._receive(process, item)
             elif not process.wants_tick(process.clock.read(self.now_s)):
@@ -255,14 +275,22 @@ class Cluster:
 
     def _put(self, process: Process, item: bytes | Membership) -> None:
         if self._is_there(process):
-            process.inbox.append(item)
+            if not self._is_elsewhere(process.pool, item):
+                process.inbox.append(item)
             self.serve(process)
         elif isinstance(item, bytes):
             self.counts["dead"] += 1
 
+    def _is_elsewhere(self, pool: Pool | None, item: bytes | Membership) -> bool:
+        """Whether a message is dropped by its key: it is of a run that is not served here."""
+        return pool is not None and isinstance(item, bytes) and shard_of(self.said[item].run) not in pool.held
+
     def _add(self, key: str, name: str, role: Role, core: Core) -> None:
         process = self.processes[key] = Process(name, role, core, Clock(since_s=self.now_s))
         process.tick_s = TICK_S
+        if self._has_pools and role in {Role.EMULATOR, Role.ALLOCATOR} and isinstance(core, Sharing):
+            process.pool = Pool(SeenTokens(self.tokens, key, name, process.clock), lambda: core.busy)
+            process.pool.begin()
         self.tell_members()
         if self._away[key]:
             self._tell_shards(process, key)

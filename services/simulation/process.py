@@ -8,6 +8,7 @@ from cogradar.services.simulation.schedule import Fault
 from cogradar.shared.protocol.events import Membership, Shards, Tick
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.bus import Epochs
+from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
 
 ROUNDING_S = 1e-9  # so much later a timer goes off, or its time would not quite have come
@@ -50,6 +51,8 @@ class Process:
     drained: bool = False  # there was a moment since its last tick in which it had not
     is_dead_to_others: bool = False  # its token is gone
     is_left: bool = False  # another one has its role
+    pool: Pool | None = None  # its part in the pool of its role, if there are pools
+    holds: frozenset[int] = frozenset()  # the shards that its core knows to be served here
     busy_until_s: float = 0.0
     tick_s: float = 0.0  # its next tick, by its own clock
     timer_s: float | None = None  # when it will be looked after, in simulated time

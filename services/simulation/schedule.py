@@ -68,13 +68,23 @@ class Kind(StrEnum):
     UNSYNCED = "unsynced"  # the disk keeps no sync, and then the power is cut: some last transactions are lost
     REMOVED = "removed"  # the journal's files are elsewhere for a while
     GONE = "gone"  # a planner ends and never comes back
+    UNHEARD = "unheard"  # a process of a pool hears of no token for a while
+    ROUTER = "router"  # ... is restarted: no message passes, and processes come back one after the other
     MOVED = "moved"  # another process of the role serves the runs for a while, and this one none
 
 
-LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT})
+LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT, Kind.ROUTER})
+POOLS = frozenset({Kind.UNHEARD, Kind.ROUTER})
 RARE = (Kind.BROKEN, Kind.UNSYNCED, Kind.REMOVED, Kind.GONE)  # drawn apart, one in RARE_SHARE of the schedules
 RARE_SHARE = 0.15
 MOVED_SHARE = 0.15  # likewise of the schedules in which runs are moved
+POOLED, POOL = 0.1, 2  # share of the schedules with pools of emulators and allocators, of so many each
+_AT_POOL = (Kind.CRASH, Kind.HANG, Kind.FREEZE, Kind.FREEZE, Kind.GONE, Kind.CUT, Kind.UNHEARD, Kind.ROUTER)
+MOST_AT_POOL = 3  # faults
+JOINED_S = 1.0  # by then the processes of a pool have shared the runs
+CLAIMED_S = 1.5  # after which the shards of a process that is gone have been claimed, as a rule
+TAKEN_OVER_S = 10.0  # after a fault: lease, claims, and the checkpoint that begins a run at its new process
+POOLED_HZ, POOLED_DWELLS = 2.0, 12  # of a run in real time with pools: some dwells are left after a takeover
 DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 # In real time nothing can be repeated, and no role runs twice at once.
@@ -144,6 +154,7 @@ class Schedule:
     faults: tuple[Fault, ...]
     commands: tuple[Asked, ...] = ()
     dwells: int = DWELLS
+    pool: int = 1  # emulators and allocators
 
     @classmethod
     def draw(cls, seed: int) -> Self:
@@ -164,7 +175,12 @@ class Schedule:
             faults=(),
             dwells=LONG_DWELLS if is_long else DWELLS,
         )
-        faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *made._moved()))
+        pool_rng = generator(seed, Purpose.FAULT, SCHEDULE, 4)
+        if pool_rng.random() < POOLED:
+            made = replace(made, pool=POOL)
+            made = replace(made, rate_hz=POOLED_HZ, dwells=POOLED_DWELLS) if rate_hz else made
+        others = made._pooled(pool_rng) if made.pool > 1 else made._moved()
+        faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *others))
         is_commanded = not rate_hz and rng.random() < COMMANDED
         return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
 
@@ -176,7 +192,18 @@ class Schedule:
     @property
     def names(self) -> tuple[str, ...]:
         """Processes that are there from the start, and again once all faults are over."""
-        return (*SINGLE, *(f"planner-{i}" for i in range(self.planners)))
+        others = (f"{role}-{i}" for i in range(1, self.pool) for role in ("emulator", "allocator"))
+        return (*SINGLE, *others, *(f"planner-{i}" for i in range(self.planners)))
+
+    @property
+    def begins_s(self) -> float:
+        """When its runs are asked for."""
+        return JOINED_S if self.pool > 1 else 0.0
+
+    @property
+    def takeover_s(self) -> float:
+        """For how long after a fault a run may be without a process that serves it."""
+        return TAKEN_OVER_S if self.pool > 1 else 0.0
 
     @property
     def quiet_s(self) -> float:
@@ -185,7 +212,8 @@ class Schedule:
 
     def plain(self, commands: tuple[Asked, ...] = ()) -> Self:
         """The same run undisturbed, by one planner, under these commands."""
-        quiet = replace(self, seed=0, planners=1, snapshot_dwells=256, prepares=False, faults=(), commands=commands)
+        quiet = replace(self, seed=0, planners=1, pool=1, snapshot_dwells=256, prepares=False)
+        quiet = replace(quiet, faults=(), commands=commands)
         # A run that may be only little ahead of the journal would wait for each checkpoint.
         return replace(quiet, checkpoint_dwells=1 if commands else 16)
 
@@ -195,13 +223,15 @@ class Schedule:
 
     def __str__(self) -> str:
         pace = f"{self.rate_hz:g} dwells/s" if self.pacing.has_deadlines else "lockstep"
+        pools = f" pools of {self.pool}," if self.pool > 1 else ""
         return (
-            f"seed {self.seed}: {self.runs} x {self.sky} {self.run_seed}, {pace}, {self.planners} planners,"
+            f"seed {self.seed}: {self.runs} x {self.sky} {self.run_seed}, {pace}, {self.planners} planners,{pools}"
             f" checkpoints every {self.checkpoint_dwells}, snapshots every {self.snapshot_dwells}"
         )
 
     def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
-        possible = sorted(set(Kind) - {*RARE, Kind.MOVED} - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
+        others = _OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK
+        possible = sorted(set(Kind) - {*RARE, *POOLS, Kind.MOVED} - others)
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
@@ -218,6 +248,25 @@ class Schedule:
     def _moved(self) -> tuple[Fault, ...]:
         rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 3)
         return (self._fault(Kind.MOVED, MOST_FAULTS + 1, rng),) if rng.random() < MOVED_SHARE else ()
+
+    def _pooled(self, rng: np.random.Generator) -> tuple[Fault, ...]:
+        """Faults of the processes of one pool, and of what they see of each other; of each pool one stays."""
+        role, made = ("emulator", "allocator")[rng.integers(2)], list[Fault]()
+        for n in range(MOST_FAULTS + 2, MOST_FAULTS + 3 + int(rng.integers(MOST_AT_POOL))):
+            fault = self._fault(_AT_POOL[rng.integers(len(_AT_POOL))], n, rng)
+            i = int(rng.integers(POOL))
+            if fault.kind is Kind.ROUTER:
+                fault = replace(fault, who="", whom="")
+            elif fault.kind is Kind.CUT:
+                fault = replace(fault, who=f"{role}-{i}", whom=f"{role}-{1 - i}")
+            elif fault.until_s == math.inf and fault.kind is Kind.HANG:  # it would keep what it has claimed
+                fault = replace(fault, who=f"{role}-{i}", until_s=fault.at_s + _LONGEST_S)
+            else:
+                fault = replace(fault, who=f"{role}-{1 if fault.until_s == math.inf else i}")
+            if fault.kind is Kind.FREEZE:  # else nothing is taken over
+                fault = replace(fault, until_s=fault.until_s + LEASE_S + CLAIMED_S)
+            made.append(fault)
+        return tuple(made)
 
     def _commands(self, rng: np.random.Generator) -> tuple[Asked, ...]:
         actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), EndRun()]
@@ -257,12 +306,13 @@ class Schedule:
         if kind is Kind.SUCCESSOR:
             length_s += LEASE_S  # else it has none
         elif kind is Kind.GONE:
-            who, length_s = f"planner-{1 + rng.integers(self.planners - 1)}", math.inf
+            who, length_s = f"planner-{1 + rng.integers(max(self.planners - 1, 1))}", math.inf
         is_one_of_many = who.startswith("planner") and who != "planner-0"
         if kind in {Kind.HANG, Kind.FREEZE} and is_one_of_many and rng.random() < _FOREVER:
             length_s = math.inf
         low_high = _AMOUNTS.get(kind)
         amount = _between(rng, *low_high) if low_high else 0.0
+        at_s += self.begins_s
         return Fault(kind, at_s, at_s + length_s, who, whom, amount, n)
 
 

@@ -24,7 +24,7 @@ from cogradar.services.simulation.checks import (
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.process import Process
-from cogradar.services.simulation.schedule import AHEAD_DWELLS, LEASE_S, LINKS, Asked, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import AHEAD_DWELLS, LEASE_S, LINKS, POOLS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.skies import starts_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import Checkpoint, Command
@@ -96,14 +96,19 @@ class Simulator:
         ]
         self._radiated: list[Dwell] = []
         self._down: dict[str, set[Fault]] = {name: set() for name in schedule.names}
-        self._cluster = Cluster(schedule.seed, disk, self._watch, prepares=schedule.prepares)
+        self._cluster = Cluster(
+            schedule.seed, disk, self._watch, prepares=schedule.prepares, has_pools=schedule.pool > 1
+        )
 
     def play(self) -> Outcome:
         """From the start of all processes to the end of all runs."""
         cluster, violation, found = self._cluster, "", None
         for name in self._schedule.names:
             cluster.start(name)
-        cluster.ask(self._starts, self._commands)
+        if begins_s := self._schedule.begins_s:
+            cluster.at(begins_s, partial(cluster.ask, self._starts, self._commands))
+        else:
+            cluster.ask(self._starts, self._commands)
         for fault in self._schedule.faults:
             cluster.at(fault.at_s, partial(self._begin, fault))
             if fault.until_s < math.inf:
@@ -118,17 +123,18 @@ class Simulator:
     def _let_run(self) -> None:
         """Until all runs are over, which must be soon after the last fault. Raises Violated."""
         cluster, playing_s = self._cluster, self._schedule.pacing.seconds(self._starts[0].dwells)
-        latest_s = self._schedule.quiet_s + playing_s + WITHIN_S
+        quiet_s = max(self._schedule.quiet_s, self._schedule.begins_s)
+        latest_s = quiet_s + playing_s + WITHIN_S
         checked_s = 0.0
         while cluster.step(latest_s):
             if cluster.counts["handled"] > STORM:
                 raise Violated(f"a storm of messages, {STORM} by {cluster.now_s:.1f} s")
-            if cluster.now_s >= max(self._schedule.quiet_s, checked_s + 0.05):
+            if cluster.now_s >= max(quiet_s, checked_s + 0.05):
                 checked_s = cluster.now_s
                 if self._is_over():
                     return
         k = [dict(row) for row in self._journal.read("SELECT run, status, acknowledged_k AS k FROM run")]
-        raise Violated(f"not over at {latest_s:.1f} s, the faults were at {self._schedule.quiet_s:.1f} s: {k}")
+        raise Violated(f"not over at {latest_s:.1f} s, the faults were at {quiet_s:.1f} s: {k}")
 
     def _is_over(self) -> bool:
         if RECORDER not in self._cluster.processes or any(one.is_left for one in self._cluster.processes.values()):
@@ -150,11 +156,11 @@ class Simulator:
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
         if schedule.pacing.has_deadlines:
-            at_radar = [fault for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
-            own = [fault.settled_s for fault in at_radar]
+            own = [fault.settled_s for fault in schedule.faults if _is_at_radar(fault)]
+            takeover_s = schedule.takeover_s
             for start in starts:
-                check_pace(start, self._radiated, max(own, default=0.0))
-                check_recovered(self._journal, start, schedule.quiet_s)
+                check_pace(start, self._radiated, max(own, default=0.0) + takeover_s)
+                check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given())))
         return found
@@ -180,8 +186,9 @@ class Simulator:
 
     def _begin(self, fault: Fault) -> None:
         cluster = self._cluster
-        if fault.kind in LINKS:
+        if fault.kind in LINKS | POOLS:
             cluster.links.begin(fault)
+            cluster.tokens.begin(fault)
             cluster.tell_members()
             return
         process = cluster.processes.get(fault.who)
@@ -212,8 +219,9 @@ class Simulator:
 
     def _end(self, fault: Fault) -> None:
         cluster = self._cluster
-        if fault.kind in LINKS:
+        if fault.kind in LINKS | POOLS:
             cluster.links.end(fault)
+            cluster.tokens.end(fault)
             cluster.tell_members()
             return
         process = cluster.processes.get(fault.who)
@@ -300,6 +308,10 @@ class Simulator:
         else:
             self._disk.is_full = is_there
             self._disk.limit()
+
+
+def _is_at_radar(fault: Fault) -> bool:
+    return "emulator" in fault.who or "emulator" in fault.whom or fault.kind is Kind.ROUTER
 
 
 def _twin(fault: Fault) -> str:

@@ -1,51 +1,38 @@
-"""The tokens of a pool's processes: those that this process shows, and those that it sees of the others."""
+"""One process's part in a pool: what it does with the tokens that it shows and sees, and whether it was away.
+
+The tokens and the clocks are handed in (`tokens`: over Zenoh; a simulation has others).
+"""
 
 import logging
 import re
-import threading
-import time
-import uuid
 import zlib
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
-from contextlib import suppress
-from functools import partial
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
-import zenoh
-
-from cogradar.shared.protocol.topics import ALL_SHARDS, PROTOCOL, SHARE, Role, run_on, shard_of
+from cogradar.shared.protocol.topics import ALL_SHARDS, run_on, shard_of
 from cogradar.shared.wire.membership import LEASE_S
 from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 
 PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
-ASK_S = 1.0  # for an answer about tokens
-AGAIN_S = 2.0  # between two looks at all tokens: word of one that is gone may have been lost, or come too early
 _PRESENT = "any-"  # begins the part of a key that is no shard
 _NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
 _MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255, `LATEST_NS`
 log = logging.getLogger(__name__)
 
 
-def _uptime_s() -> float:
-    """A clock that goes on while the machine is suspended, as the leases of the others do."""
-    clock_gettime, clock = getattr(time, "clock_gettime", None), getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if clock_gettime is None or clock is None else float(clock_gettime(clock))
+class Token(NamedTuple):
+    """What a process shows: that it is there, or that it claims a shard."""
 
-
-def _moment() -> str:
-    return f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
-
-
-class _Token(NamedTuple):
     shard: str
     moment: str
     name: str
 
     @classmethod
     def of(cls, key: object) -> Self:
+        """The token on a key."""
         return cls(*str(key).split("/")[-3:])
 
     @property
@@ -60,49 +47,74 @@ class _Token(NamedTuple):
         return is_shard and _MOMENT.fullmatch(self.moment) is not None
 
 
+class Tokens(Protocol):
+    """The tokens of all processes of a pool as one of them sees them, and its clocks.
+
+    arrived : what was seen: a token, and whether it is there or gone
+    answers : to the last question for all tokens: when it was asked, and what was there
+    n_lost  : links to routers that were lost
+    """
+
+    arrived: deque[tuple[Token, bool]]
+    answers: deque[tuple[float, set[Token]]]
+    n_lost: int
+
+    def now_s(self) -> float:
+        """A clock that goes on while the machine is suspended, as the leases of the others do."""
+
+    def cpu_s(self) -> float:
+        """Time that this thread has computed."""
+
+    def moment(self) -> str:
+        """The time of day, and what makes it unique."""
+
+    def wait(self, seconds: float) -> None:
+        """Let threads of the transport go on."""
+
+    def watch(self) -> None:
+        """From now on let tokens arrive, and ask for all of them now and then."""
+
+    def there(self) -> set[Token]:
+        """Ask for all tokens now."""
+
+    def routers(self) -> frozenset[str]:
+        """The routers that this process is connected with."""
+
+    def show(self, shard: str, moment: str) -> Callable[[], None]:
+        """Show a token of this process; the answer withdraws it."""
+
+    def close(self) -> None:
+        """Watch no more."""
+
+
 class Pool:
     """A process's part in a pool. What others show is noted by threads of the transport; all else is done by the
     thread that owns the core.
     """
 
     def __init__(
-        self,
-        session: zenoh.Session,
-        named: tuple[Role, str, str],
-        busy: Callable[[], Collection[int]],
-        *,
-        kind: str = "",
-        is_spread: bool = True,
+        self, tokens: Tokens, busy: Callable[[], Collection[int]], *, kind: str = "", is_spread: bool = True
     ) -> None:
         """See which processes are there. Nothing is shown yet.
 
-        named     : role, name and build of the process
         busy      : the shards in which runs go on here
         kind      : of the process: a pool is of one kind
         is_spread : whether shards are shared out, or one process has all
         """
-        self._session, self._busy, self._kind = session, busy, f"{_PRESENT}{zlib.crc32(kind.encode()):08x}"
-        role, name, build = named
-        self._key = partial(SHARE.format, protocol=PROTOCOL, build=build, role=role)
-        self._name, self._pattern = name, self._key(shard="*", moment="*", name="*")
-        self._arrived: deque[tuple[_Token, bool]] = deque()
-        self._answers: deque[tuple[float, set[_Token]]] = deque(maxlen=1)  # when it was asked; what was there
-        self._shown: dict[str, zenoh.LivelinessToken] = {}
+        self._tokens, self._busy, self._kind = tokens, busy, f"{_PRESENT}{zlib.crc32(kind.encode()):08x}"
+        self._shown: dict[str, Callable[[], None]] = {}  # own tokens by their shards; a call withdraws one
         self._told: frozenset[int] | None = None  # what the core knows
         self._due_s = self._looked_s = 0.0
         self._cpu_s = 0.0  # of this thread, at the last decision
-        self._routers = frozenset(map(str, session.info.routers_zid()))
-        self._n_lost = self._n_known = 0  # links to routers that were lost; when this process looked last
-        self._link = session.info.declare_transport_events_listener(self._on_link, history=False)
-        there = self._there()  # asked first: an answer just after the subscription may be empty
-        self._watch = session.liveliness().declare_subscriber(self._pattern, self._on_token, history=True)
-        time.sleep(SETTLE_S)
-        seen = {*there, *(token for token, is_there in list(self._arrived) if is_there)}
-        moment = later_than((token.moment for token in seen), _moment())
+        self._routers = tokens.routers()
+        self._n_known = 0  # links to routers that were lost, when this process looked last
+        there = tokens.there()  # asked first: an answer just after the subscription may be empty
+        tokens.watch()
+        tokens.wait(SETTLE_S)
+        seen = {*there, *(token for token, is_there in list(tokens.arrived) if is_there)}
+        moment = later_than((token.moment for token in seen), tokens.moment())
         self._shares = Shares(moment, is_spread=is_spread)
-        self._shares.see_all({(token.number, token.moment) for token in there}, _uptime_s())
-        self._closed = threading.Event()
-        threading.Thread(target=self._look_again, name="tokens", daemon=True).start()
+        self._shares.see_all({(token.number, token.moment) for token in there}, tokens.now_s())
 
     @property
     def held(self) -> frozenset[int]:
@@ -111,25 +123,29 @@ class Pool:
 
     def others(self) -> list[str]:
         """Names of processes of another kind that are there."""
-        present = [token for token in self._there() if token.shard.startswith(_PRESENT)]
+        present = [token for token in self._tokens.there() if token.shard.startswith(_PRESENT)]
         return sorted(token.name for token in present if token.shard != self._kind)
+
+    def begin(self) -> None:
+        """Show that this process is there; it claims its part from now on."""
+        self._show(self._kind)
+        self._looked_s = self._tokens.now_s()
 
     def join(self, check: Callable[[], None]) -> None:
         """Show that this process is there, and claim its part; over when it serves it. `check` may raise to give up."""
-        self._show(self._kind)
-        self._looked_s = _uptime_s()
+        self.begin()
         while True:
-            self._decide(_uptime_s())
+            self._decide(self._tokens.now_s())
             if self._shares.is_settled:
                 return
             check()
-            time.sleep(SETTLE_S / 2)
+            self._tokens.wait(SETTLE_S / 2)
 
     def news(self) -> frozenset[int] | None:
         """The shards that are served from now on, if the core does not know them yet."""
         self.has_paused()
         now_s = self._looked_s
-        if now_s >= self._due_s or self._arrived:
+        if now_s >= self._due_s or self._tokens.arrived:
             self._decide(now_s)
         return self._tell()
 
@@ -139,11 +155,11 @@ class Pool:
         Asked before anything is handled that has waited meanwhile, or is due: what others do now is not to be done
         twice.
         """
-        now_s, is_missed = _uptime_s(), False
+        now_s, is_missed = self._tokens.now_s(), False
         if (gap_s := now_s - self._looked_s) > PAUSE_S:
-            is_missed = gap_s - (time.thread_time() - self._cpu_s) > PAUSE_S and self._is_missed()
-            now_s = _uptime_s()  # to ask took its time, too
-        self._looked_s, self._n_known = now_s, self._n_lost
+            is_missed = gap_s - (self._tokens.cpu_s() - self._cpu_s) > PAUSE_S and self._is_missed()
+            now_s = self._tokens.now_s()  # to ask took its time, too
+        self._looked_s, self._n_known = now_s, self._tokens.n_lost
         return is_missed
 
     def serves(self, key: str) -> bool:
@@ -152,9 +168,7 @@ class Pool:
 
     def close(self) -> None:
         """Leave it."""
-        self._closed.set()
-        self._watch.undeclare()
-        self._link.undeclare()
+        self._tokens.close()
         self._withdraw(list(self._shown))
 
     def _tell(self) -> frozenset[int] | None:
@@ -169,68 +183,48 @@ class Pool:
         What is asked may be answered by what this session knows. So its threads get the time to learn what has
         happened: they have been frozen, too.
         """
-        time.sleep(WAKE_S)
-        there = self._there()
+        self._tokens.wait(WAKE_S)
+        there = self._tokens.there()
         own = {token.shard for token in there if token.moment == self._shares.moment}
         others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
-        is_seen = self._n_lost == self._n_known and own >= self._shown.keys()
+        is_seen = self._tokens.n_lost == self._n_known and own >= self._shown.keys()
         if is_seen and not any(shard in self.held for shard, _ in others):
             return False
-        log.warning("%s was away, and others may serve its runs: it drops them, and joins again", self._name)
+        log.warning("this process was away, and others may serve its runs: it drops them, and joins again")
         self._withdraw(list(self._shown))
-        self._shares.lapse(later_than((token.moment for token in there), _moment()))
-        self._shares.see_all(others, _uptime_s())
+        self._shares.lapse(later_than((token.moment for token in there), self._tokens.moment()))
+        self._shares.see_all(others, self._tokens.now_s())
         self._routers = frozenset()  # what is not seen now may still be coming back
         self._show(self._kind)
         return True
 
     def _decide(self, now_s: float) -> None:
-        self._due_s, self._cpu_s = now_s + LOOK_S, time.thread_time()
-        while self._arrived:
-            token, is_there = self._arrived.popleft()
+        self._due_s, self._cpu_s = now_s + LOOK_S, self._tokens.cpu_s()
+        while self._tokens.arrived:
+            token, is_there = self._tokens.arrived.popleft()
             self._shares.see(token.number, token.moment, now_s, is_there=is_there)
-        while self._answers:
-            self._compare(*self._answers.popleft(), now_s)
+        while self._tokens.answers:
+            self._compare(*self._tokens.answers.popleft(), now_s)
         change = self._shares.decide(now_s, self._busy(), self._is_connected)
         self._withdraw(map(str, change.withdrawn))
         for shard in sorted(change.shown):
             self._show(str(shard))
 
-    def _compare(self, asked_s: float, there: set[_Token], now_s: float) -> None:
+    def _compare(self, asked_s: float, there: set[Token], now_s: float) -> None:
         """Heed an answer about all tokens, unless it lacks own ones: a router that knows these knows all."""
         own = {token.shard for token in there if token.moment == self._shares.moment}
         if own >= self._shown.keys():
             others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
             self._shares.see_all(others, now_s, asked_s)
 
-    def _look_again(self) -> None:
-        with suppress(zenoh.ZError):  # the session is closed
-            while not self._closed.wait(AGAIN_S) and not self._session.is_closed():
-                asked_s = _uptime_s()
-                self._answers.append((asked_s, self._there()))
-
     def _is_connected(self) -> bool:
         """Whether there is a router, and the same one as before: a new one hides all tokens for a while."""
-        before, self._routers = self._routers, frozenset(map(str, self._session.info.routers_zid()))
+        before, self._routers = self._routers, self._tokens.routers()
         return bool(self._routers) and self._routers == before
 
     def _show(self, shard: str) -> None:
-        key = self._key(shard=shard, moment=self._shares.moment, name=self._name)
-        self._shown[shard] = self._session.liveliness().declare_token(key)
+        self._shown[shard] = self._tokens.show(shard, self._shares.moment)
 
     def _withdraw(self, shards: Iterable[str]) -> None:
         for shard in shards:
-            self._shown.pop(shard).undeclare()
-
-    def _there(self) -> set[_Token]:
-        replies = self._session.liveliness().get(self._pattern, timeout=ASK_S)
-        found = {_Token.of(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        return {token for token in found if token.is_one}
-
-    def _on_link(self, event: zenoh.TransportEvent) -> None:
-        self._n_lost += event.kind == zenoh.SampleKind.DELETE
-
-    def _on_token(self, sample: zenoh.Sample) -> None:
-        token = _Token.of(sample.key_expr)
-        if token.is_one:
-            self._arrived.append((token, sample.kind == zenoh.SampleKind.PUT))
+            self._shown.pop(shard)()

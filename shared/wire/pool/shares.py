@@ -96,7 +96,7 @@ class Shares:
         self._serve(now_s)
         self._give_up(busy)
         self._take(now_s)
-        self.held &= self._shown.keys()
+        self.held = self.held.intersection(self._shown)  # a new one: what was told of before stays as it was
         return Change(frozenset(self._shown.keys() - before), before - self._shown.keys())
 
     def _expire(self, now_s: float, is_connected: Callable[[], bool]) -> None:

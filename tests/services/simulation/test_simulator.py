@@ -26,7 +26,7 @@ from cogradar.services.simulation import trials
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.memory import FUNCTIONS, Memory, remembering
-from cogradar.services.simulation.schedule import DWELLS, Asked, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import DWELLS, JOINED_S, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.simulator import Outcome, Simulator, play
 from cogradar.services.simulation.skies import start_of
 from cogradar.shared.numerics.seeds import Purpose, generator
@@ -37,6 +37,8 @@ from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.files import parse_radar
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.wire.pool import members
+from cogradar.shared.wire.pool.shares import Shares
 from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
 
@@ -142,6 +144,52 @@ def test_in_real_time_a_process_that_lost_a_run_radiates_no_dwell_of_it(monkeypa
     assert two_at_once() <= 2  # when it is moved there, and back
     monkeypatch.setattr(Inactivity, "_serve", lambda *_: [])
     assert two_at_once() > 2
+
+
+# Pools.
+
+
+def _pooled(*faults: Fault, **changed: object) -> Outcome:
+    at = [replace(fault, at_s=JOINED_S + fault.at_s, until_s=JOINED_S + fault.until_s) for fault in faults]
+    return _played(*at, pool=2, **changed)
+
+
+def _frozen(role: str, i: int) -> Fault:
+    return Fault(Kind.FREEZE, 0.002, 4.0, f"{role}-{i}")
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0])
+@pytest.mark.parametrize("role", ["emulator", "allocator"])
+def test_runs_of_a_process_that_is_gone_or_frozen_are_taken_over(role: str, rate_hz: float) -> None:
+    for fault in (Fault(Kind.CRASH, 0.002, math.inf, f"{role}-0"), _frozen(role, 0), _frozen(role, 1)):
+        outcome = _pooled(fault, rate_hz=rate_hz, dwells=60 if rate_hz else DWELLS)
+        assert outcome.violation == ""
+
+
+@pytest.mark.parametrize("kind", [Kind.ROUTER, Kind.CUT, Kind.UNHEARD])
+def test_processes_that_do_not_see_each_other_change_no_run(kind: Kind) -> None:
+    who, whom = ("", "") if kind is Kind.ROUTER else ("emulator-0", "emulator-1" if kind is Kind.CUT else "")
+    hidden = Fault(kind, 0.002, 2.5, who, whom, n=1)
+    assert _pooled(hidden).violation == ""
+    assert _pooled(hidden, Fault(Kind.CRASH, 0.004, 3.0, "emulator-1")).violation == ""
+
+
+@pytest.mark.parametrize("role", ["emulator", "allocator"])
+def test_a_process_that_acts_after_its_claim_is_lost_is_found(role: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(members, "PAUSE_S", math.inf)
+    said = [_pooled(_frozen(role, i)).violation for i in (0, 1)]
+    assert any(f"{role}-" in text and "which" in text and "serves" in text for text in said), said
+
+
+def test_two_processes_that_serve_one_run_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Shares, "see", lambda *_, **__: None)
+    assert "serves" in _pooled(Fault(Kind.HANG, 3.0, 3.1, "planner-0")).violation
+
+
+def test_claims_that_are_never_given_up_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Shares, "_expire", lambda *_: None)
+    gone = [_pooled(Fault(Kind.CRASH, 0.002, math.inf, f"emulator-{i}")).violation for i in (0, 1)]
+    assert any("not over" in text for text in gone), gone
 
 
 @pytest.mark.parametrize("kind", [Kind.CRASH, Kind.HANG, Kind.FREEZE])

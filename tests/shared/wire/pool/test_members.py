@@ -10,6 +10,7 @@ from cogradar.shared.protocol.topics import ALL_SHARDS, Role, shard_of
 from cogradar.shared.wire.pool import members
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.shares import SETTLE_S
+from cogradar.shared.wire.pool.tokens import ZenohTokens
 from cogradar.shared.wire.session import open_session
 
 WITHIN_S = 10.0
@@ -21,7 +22,8 @@ class _Process:
     def __init__(self, router: str, name: str, kind: str = "", build: str = "1f3a") -> None:
         self.session = open_session([router], WITHIN_S, lambda: None)
         self.busy: Collection[int] = ()
-        self.pool = Pool(self.session, (Role.EMULATOR, name, build), lambda: self.busy, kind=kind)
+        self.tokens = ZenohTokens(self.session, Role.EMULATOR, name, build)
+        self.pool = Pool(self.tokens, lambda: self.busy, kind=kind)
 
 
 @pytest.fixture
@@ -74,7 +76,8 @@ def test_word_of_one_that_is_gone_may_be_lost(
 ) -> None:
     first, second = start("a"), start("b")
     _share([first, second], 8, 8)
-    second.pool._watch.undeclare()  # so it hears of no token any more
+    assert second.tokens._watch is not None
+    second.tokens._watch.undeclare()  # so it hears of no token any more
     first.session.close()
     _share([second], 16)
 
@@ -127,9 +130,9 @@ def test_what_no_program_shows_is_not_heeded(start: Callable[..., _Process]) -> 
         ("3", "99999999999999999999-dc646a39"),
         ("3", "x"),
     ):
-        assert not members._Token.of(f"cogradar/share/9/b/emulator/{shard}/{moment}/a").is_one
+        assert not members.Token.of(f"cogradar/share/9/b/emulator/{shard}/{moment}/a").is_one
     process = start("a")
-    key = process.pool._key(shard="3", moment="9" * 5000, name="b")
+    key = process.tokens._key(shard="3", moment="9" * 5000, name="b")
     process.session.liveliness().declare_token(key)
     other = start("b")
     _share([process, other], 8, 8)
@@ -137,8 +140,8 @@ def test_what_no_program_shows_is_not_heeded(start: Callable[..., _Process]) -> 
 
 def test_computing_is_no_pause(start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch) -> None:
     process, clocks = start("a"), {"up": 1e6, "cpu": 0.0}
-    monkeypatch.setattr(members, "_uptime_s", lambda: clocks["up"])
-    monkeypatch.setattr(time, "thread_time", lambda: clocks["cpu"])
+    monkeypatch.setattr(process.tokens, "now_s", lambda: clocks["up"])
+    monkeypatch.setattr(process.tokens, "cpu_s", lambda: clocks["cpu"])
     monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
     process.pool._looked_s = clocks["up"]
     paused = []

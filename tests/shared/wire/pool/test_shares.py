@@ -302,3 +302,12 @@ def test_an_answer_is_older_than_what_was_seen_after_it_was_asked_for() -> None:
     assert shares._claims[7, "old"].absent_s == 3.0
     shares.see_all({(7, "old")}, 5.0, asked_s=4.0)
     assert shares._claims[7, "old"].absent_s == math.inf
+
+
+def test_what_was_served_stays_as_it_was_said() -> None:
+    """A core is told of what has changed: a set that grows in place would never seem to."""
+    shares = Shares("a", is_spread=True)
+    shares.decide(0.0, (), lambda: True)
+    before = shares.held
+    shares.decide(SETTLE_S, (), lambda: True)
+    assert (before, shares.held) == (frozenset(), ALL_SHARDS)

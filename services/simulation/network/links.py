@@ -10,6 +10,7 @@ from cogradar.shared.numerics.seeds import Purpose, generator
 FASTEST_S, MEAN_S = 2e-4, 5e-4  # of a message that nothing happens to; the mean is what may be added
 OVERTAKEN_S = 0.02  # mean of how long a message is held back that others overtake
 _AT_ONCE = 1024
+LIVELINESS = "liveliness"  # what tells of tokens, as the name of a sender
 
 
 class Links:
@@ -41,7 +42,7 @@ class Links:
         for fault in self._of(sender, reader):
             rng = self._faults[fault]
             match fault.kind:
-                case Kind.CUT:
+                case Kind.CUT | Kind.ROUTER:
                     return []
                 case Kind.LOSS if rng.random() < fault.amount:
                     return []
@@ -62,7 +63,9 @@ class Links:
     def _of(self, sender: str, reader: str) -> Iterable[Fault]:
         if not self._faults:
             return ()
-        return [fault for fault in self._faults if sender.startswith(fault.who) and reader.startswith(fault.whom)]
+        of_link = [fault for fault in self._faults if sender.startswith(fault.who) and reader.startswith(fault.whom)]
+        # What is seen of tokens while there is no router is for others to say.
+        return [fault for fault in of_link if sender != LIVELINESS or fault.kind is not Kind.ROUTER]
 
     def _latency(self) -> float:
         if not self._drawn:
