@@ -354,8 +354,8 @@ class Known:
         kept = json.loads(file.read_text(encoding="utf-8")) if file is not None and file.exists() else {}
         self._found: dict[str, tuple[int, int, str]] = kept.get(build(), {})
 
-    def play(self, mutant: Mutant, schedules: int) -> tuple[int, str]:
-        """The first schedule that is violated, 0 if none of so many is; those that were played are not played again."""
+    def play(self, mutant: Mutant, schedules: int) -> tuple[int, int, str]:
+        """How many schedules were played, and the first one that is violated, 0 if none is; none is played again."""
         key = f"{mutant.module}: {mutant.old} -> {mutant.new}"
         played, n, violation = self._found.get(key, (0, 0, ""))
         at_once = schedules if self._file is None else AT_ONCE
@@ -366,12 +366,12 @@ class Known:
                 self._found[key] = played, n, violation
                 if self._file is not None:
                     self._file.write_text(json.dumps({build(): self._found}, indent=1), encoding="utf-8")
-        return n, violation
+        return played, n, violation
 
 
-def _row(mutant: Mutant, n: int, schedules: int, violation: str) -> str:
+def _row(mutant: Mutant, played: int, n: int, violation: str) -> str:
     said = violation.splitlines()[0][:SAID].replace("|", "/") if violation else mutant.harmless
-    return f"| {mutant.name} | {n or f'not in {schedules}'} | {said} |"
+    return f"| {mutant.name} | {n or (f'not in {played}' if played else 'not played yet')} | {said} |"
 
 
 def main() -> int:
@@ -393,10 +393,10 @@ def main() -> int:
     rows, wrong, n_found, known = list[str](), 0, 0, Known(asked.store)
     with ThreadPoolExecutor(asked.workers) as pool:
         outcomes = pool.map(lambda one: known.play(one, asked.schedules), chosen)
-        for mutant, (n, violation) in zip(chosen, outcomes, strict=True):
+        for mutant, (played, n, violation) in zip(chosen, outcomes, strict=True):
             wrong += bool(n) == bool(mutant.harmless)
             n_found += bool(n)
-            rows.append(_row(mutant, n, asked.schedules, violation))
+            rows.append(_row(mutant, played, n, violation))
             print(rows[-1], flush=True)
     harmless = sum(bool(one.harmless) for one in chosen)
     said = f"{n_found} of {len(chosen) - harmless} planted faults were found, {harmless} change no run"
