@@ -66,8 +66,8 @@ MUTANTS = (
     Mutant(
         "the recorder never asks for anything again",
         RUN,
-        "        start, (k, t) = self.start, self.acknowledged\n",
-        "        start, (k, t), resend = self.start, self.acknowledged, False\n",
+        "        k, t = self.acknowledged\n        now =",
+        "        (k, t), resend = self.acknowledged, False\n        now =",
     ),
     Mutant(
         "a recorder that comes back begins unfinished runs at the next dwell",
