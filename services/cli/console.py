@@ -180,7 +180,7 @@ class Stop(threading.Event):
     """Set by SIGINT or SIGTERM; remembers which."""
 
     exit_code = Interrupted.exit_code
-    at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
+    at_once = False  # raise KeyboardInterrupt wherever the main thread is: for work that leaves nothing behind
 
     def __init__(self) -> None:
         super().__init__()
@@ -195,7 +195,7 @@ class Stop(threading.Event):
         self.exit_code = 128 + number
         self.set()
         if self.at_once:
-            raise Interrupted("interrupted")
+            raise KeyboardInterrupt  # which nobody takes for a fault of what it interrupts
 
 
 @contextmanager
@@ -209,8 +209,8 @@ def command(*, at_once: bool = False, zenoh_config: str | None = None) -> Iterat
     try:
         with _settings_of_zenoh(zenoh_config):
             yield stop
-    except Interrupted as error:
-        _end(error, stop.exit_code)
+    except (Interrupted, KeyboardInterrupt) as error:
+        _end(error if isinstance(error, Interrupted) else Interrupted("interrupted"), stop.exit_code)
     except Failure as error:
         _end(error, error.exit_code)
     except (ScenarioError, PluginError) as error:

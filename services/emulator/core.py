@@ -307,6 +307,8 @@ def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[
         measured = k - (run.said if run.pacing.loses_dwells else run.unmeasured)
         reason = f"not every target was detected within {measured} scans"
         nearest = f"; {run.strongest}" if run.strongest is not None else ""
+        if run.strongest is not None and run.strongest.share > 1.0:  # detections which no target explains
+            nearest += "; are echoes as strong as radar.echo.amplitude_db says? cogradar calibrate measures them"
         lost = f"; nothing was measured in {run.unmeasured} dwells: {run.last_fault}" if run.unmeasured else ""
         answers = _end(run, k, "failed", reason + nearest + lost)
     else:

@@ -122,7 +122,7 @@ def _checked(text: str, kind: Kind) -> Iterator[Finding]:
 def _behaviour(short: str, thing: Any, trial: Trial) -> Iterator[Finding]:
     """Answers that make sense, that depend on the arguments alone, and leave these as they were."""
     first = [_plain(trial.call(thing, *case())) for _, case in trial.cases]
-    yield Finding(short, "answers", f"make sense in {len(first)} cases", ok=True)
+    yield Finding(short, "answers", f"make sense; cases tried: {len(first)}", ok=True)
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002 - to find out a thing that draws from it
     before = random.getstate(), np.random.get_state()  # noqa: NPY002

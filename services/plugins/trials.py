@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cogradar.services.emulator.cycle import compared, scan_message, transmission
 from cogradar.services.emulator.front_end import FrontEnd, Settings, Transmission
+from cogradar.services.emulator.own_thread import FIRST_S, InOwnThread
 from cogradar.services.errors import RunFailed
 from cogradar.services.feed import feed
 from cogradar.services.feed.cost import pictures_of
@@ -230,7 +231,7 @@ def _front_end() -> Trial:
 
     def call(make: Callable[[Settings], FrontEnd], asked: Transmission) -> Any:
         try:
-            front_end = make(settings)
+            front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S)
             try:
                 measured = front_end.transmit(0, 0, asked)
             finally:

@@ -286,21 +286,21 @@ class _Echo:
         is_phase = ~is_dead & (phase > OFF_PHASE_DEG)
         exchanged = _exchanged(gains, np.flatnonzero(is_phase), steering_vector(antennas.nu, gains.size))
         for one, other in exchanged:
-            what = f"The {_ENDS[end]} antennas {one + 1} and {other + 1} are exchanged."
+            what = f"The {_ENDS[end]} antennas {one} and {other} are exchanged."
             self.findings.append(Finding(what, "Exchange their channels."))
             is_phase[[one, other]] = False
         if is_phase.any():
             most = float(phase[is_phase].max())
-            cure = "Multiply each channel by the conjugate of its gain, which --json prints."
+            cure = "Divide each channel by its gain, a complex number, which --json prints."
             self._tell(end, is_phase, f"have phases up to {most:.0f} degrees off", cure)
         is_gain = ~is_dead & (np.abs(gain_db) > OFF_GAIN_DB)
         if is_gain.any():
             most = float(np.abs(gain_db[is_gain]).max())
-            cure = "Divide each channel by its gain, which --json prints."
+            cure = "Divide each channel by its gain, a complex number, which --json prints."
             self._tell(end, is_gain, f"have gains up to {most:.1f} dB off", cure)
 
     def _tell(self, end: int, which: NDArray[np.bool_], what: str, cure: str) -> None:
-        self.findings.append(Finding(f"The {_ENDS[end]} antennas {listed(np.flatnonzero(which) + 1)} {what}.", cure))
+        self.findings.append(Finding(f"The {_ENDS[end]} antennas {listed(np.flatnonzero(which))} {what}.", cure))
 
 
 class _Fit(NamedTuple):

@@ -182,7 +182,7 @@ def _channels(side: str, medians: Floats) -> list[Finding]:
         if which.any():
             most = np.abs(over_db[which]).max()
             by = f"up to {most:.1f} dB" if np.isfinite(most) else "infinitely"
-            found.append(Finding(f"The {side} channels {listed(np.flatnonzero(which) + 1)} have {by} {what}.", cure))
+            found.append(Finding(f"The {side} channels {listed(np.flatnonzero(which))} have {by} {what}.", cure))
     return found
 
 

@@ -5,6 +5,7 @@ import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -184,8 +185,9 @@ def test_a_signal_ends_a_command_at_once_or_sets_its_stop(number: signal.Signals
     went_on: list[bool] = []
 
     def work() -> None:
-        signal.raise_signal(number)
-        went_on.append(True)
+        with suppress(Exception):  # somebody else's code that hides what it meets
+            signal.raise_signal(number)
+            went_on.append(True)
         raise Interrupted("interrupted")  # as work does that looks at its stop
 
     with pytest.raises(typer.Exit) as ended, command(at_once=at_once) as stop:

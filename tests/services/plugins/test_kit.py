@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.errors import BadInput
-from cogradar.services.plugins import kit, templates
+from cogradar.services.plugins import kit, templates, trials
 from cogradar.shared.scenario.plugins import resolver, sources
 
 
@@ -36,6 +36,17 @@ def test_a_front_end_that_cannot_be_is_found(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(text.replace("default_rng(7)", "default_rng(7 // 0)"))
     answers = [one for one in kit.check(f"{tmp_path}/mine.py:Receiver") if one.check == "answers"]
     assert ["ZeroDivisionError" in one.found and not one.ok for one in answers] == [True]
+
+
+def test_a_front_end_that_hangs_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trials, "FIRST_S", 0.1)
+    templates.write("front-end", tmp_path / "mine.py")
+    text = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(
+        text.replace("        w = root", "        __import__('time').sleep(1.0)\n        w = root")
+    )
+    (answer,) = [one for one in kit.check(f"{tmp_path}/mine.py:Receiver") if one.check == "answers"]
+    assert (answer.ok, "transmit did not return within 0.1 s" in answer.found) == (False, True)
 
 
 HEAD = "import random\nimport numpy as np\nfrom cogradar.plugins import Choice\n\ncalls = []\n\n\n"
