@@ -17,6 +17,7 @@ from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
+MORE_LOOKS = 4  # at tokens, if own ones are not among them
 _PRESENT = "any-"  # begins the part of a key that is no shard
 _NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
 _MOMENT = re.compile("0[0-8][0-9]{18}-[0-9a-f]{8}")  # until 2255, `LATEST_NS`
@@ -105,7 +106,7 @@ class Pool:
         self._shown: dict[str, Callable[[], None]] = {}  # own tokens by their shards; a call withdraws one
         self._told: frozenset[int] | None = None  # what the core knows
         self._due_s = self._looked_s = 0.0
-        self._cpu_s = 0.0  # of this thread, at the last decision
+        self._cpu_s = 0.0  # of this thread, when it looked last
         self._routers = tokens.routers()
         self._n_known = 0  # links to routers that were lost, when this process looked last
         there = tokens.there()  # asked first: an answer just after the subscription may be empty
@@ -123,13 +124,13 @@ class Pool:
 
     def others(self) -> list[str]:
         """Names of processes of another kind that are there."""
-        present = [token for token in self._tokens.there() if token.shard.startswith(_PRESENT)]
+        present = [token for token in self._all() if token.shard.startswith(_PRESENT)]
         return sorted(token.name for token in present if token.shard != self._kind)
 
     def begin(self) -> None:
         """Show that this process is there; it claims its part from now on."""
         self._show(self._kind)
-        self._looked_s = self._tokens.now_s()
+        self._looked_s, self._cpu_s = self._tokens.now_s(), self._tokens.cpu_s()
 
     def join(self, check: Callable[[], None]) -> None:
         """Show that this process is there, and claim its part; over when it serves it. `check` may raise to give up."""
@@ -159,7 +160,7 @@ class Pool:
         if (gap_s := now_s - self._looked_s) > PAUSE_S:
             is_missed = gap_s - (self._tokens.cpu_s() - self._cpu_s) > PAUSE_S and self._is_missed()
             now_s = self._tokens.now_s()  # to ask took its time, too
-        self._looked_s, self._n_known = now_s, self._tokens.n_lost
+        self._looked_s, self._cpu_s, self._n_known = now_s, self._tokens.cpu_s(), self._tokens.n_lost
         return is_missed
 
     def serves(self, key: str) -> bool:
@@ -184,7 +185,7 @@ class Pool:
         happened: they have been frozen, too.
         """
         self._tokens.wait(WAKE_S)
-        there = self._tokens.there()
+        there = self._all()
         own = {token.shard for token in there if token.moment == self._shares.moment}
         others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
         is_seen = self._tokens.n_lost == self._n_known and own >= self._shown.keys()
@@ -198,8 +199,20 @@ class Pool:
         self._show(self._kind)
         return True
 
+    def _all(self) -> set[Token]:
+        """All tokens. Of a process that computes, an answer may come before the threads of its transport have had
+        their turn, and is empty then: if it lacks own tokens, they are asked for again.
+        """
+        there = self._tokens.there()
+        for _ in range(MORE_LOOKS):
+            if {token.shard for token in there if token.moment == self._shares.moment} >= self._shown.keys():
+                break
+            self._tokens.wait(LOOK_S)
+            there = self._tokens.there()
+        return there
+
     def _decide(self, now_s: float) -> None:
-        self._due_s, self._cpu_s = now_s + LOOK_S, self._tokens.cpu_s()
+        self._due_s = now_s + LOOK_S
         while self._tokens.arrived:
             token, is_there = self._tokens.arrived.popleft()
             self._shares.see(token.number, token.moment, now_s, is_there=is_there)

@@ -12,6 +12,7 @@ import zenoh
 
 from cogradar.shared.protocol.topics import PROTOCOL, SHARE, Role
 from cogradar.shared.wire.pool.members import Token
+from cogradar.shared.wire.pool.shares import SETTLE_S
 
 ASK_S = 1.0  # for an answer about tokens
 AGAIN_S = 2.0  # between two looks at all tokens: word of one that is gone may have been lost, or come too early
@@ -76,10 +77,12 @@ class ZenohTokens:
         self._link.undeclare()
 
     def _look_again(self) -> None:
-        with suppress(zenoh.ZError):  # the session is closed
-            while not self._closed.wait(AGAIN_S) and not self._session.is_closed():
-                asked_s = self.now_s()
-                self.answers.append((asked_s, self.there()))
+        while not self._closed.wait(AGAIN_S) and not self._session.is_closed():
+            asked_s = self.now_s()
+            with suppress(zenoh.ZError):  # the session is being closed
+                there = self.there()
+                if self.now_s() - asked_s < SETTLE_S:  # a late answer shows claims that are withdrawn and forgotten
+                    self.answers.append((asked_s, there))
 
     def _on_link(self, event: zenoh.TransportEvent) -> None:
         self.n_lost += event.kind == zenoh.SampleKind.DELETE

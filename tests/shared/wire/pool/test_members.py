@@ -8,7 +8,7 @@ import pytest
 
 from cogradar.shared.protocol.topics import ALL_SHARDS, Role, shard_of
 from cogradar.shared.wire.pool import members
-from cogradar.shared.wire.pool.members import Pool
+from cogradar.shared.wire.pool.members import Pool, Token
 from cogradar.shared.wire.pool.shares import SETTLE_S
 from cogradar.shared.wire.pool.tokens import ZenohTokens
 from cogradar.shared.wire.session import open_session
@@ -143,10 +143,37 @@ def test_computing_is_no_pause(start: Callable[..., _Process], monkeypatch: pyte
     monkeypatch.setattr(process.tokens, "now_s", lambda: clocks["up"])
     monkeypatch.setattr(process.tokens, "cpu_s", lambda: clocks["cpu"])
     monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
-    process.pool._looked_s = clocks["up"]
+    process.pool._looked_s, process.pool._cpu_s = clocks["up"], clocks["cpu"]
     paused = []
     for up, cpu in ((5.0, 4.5), (0.2, 0.0), (5.0, 3.5)):
         process.pool._decide(clocks["up"])
         clocks["up"], clocks["cpu"] = clocks["up"] + up, clocks["cpu"] + cpu
         paused.append(process.pool.has_paused())
     assert paused == [False, False, True]
+
+
+def test_what_was_computed_before_a_look_hides_no_freeze_after_it(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process looks after each event, and decides more seldom."""
+    process, clocks = start("a"), {"up": 1e6, "cpu": 0.0}
+    monkeypatch.setattr(process.tokens, "now_s", lambda: clocks["up"])
+    monkeypatch.setattr(process.tokens, "cpu_s", lambda: clocks["cpu"])
+    monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
+    process.pool._looked_s, process.pool._cpu_s = clocks["up"], clocks["cpu"]
+    paused = []
+    for up, cpu in ((5.0, 5.0), (4.0, 0.0)):
+        clocks["up"], clocks["cpu"] = clocks["up"] + up, clocks["cpu"] + cpu
+        paused.append(process.pool.has_paused())
+    assert paused == [False, True]
+
+
+def test_an_answer_without_own_tokens_is_asked_for_again(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = start("a")
+    _share([process], 16)
+    real, empty = process.tokens.there, [set[Token]()] * 2
+    monkeypatch.setattr(process.tokens, "there", lambda: empty.pop() if empty else real())
+    assert not process.pool._is_missed()
+    assert len(process.pool.held) == 16
