@@ -195,7 +195,7 @@ class Stop(threading.Event):
         self.exit_code = 128 + number
         self.set()
         if self.at_once:
-            raise KeyboardInterrupt  # which nobody takes for a fault of what it interrupts
+            raise KeyboardInterrupt  # no handler of exceptions takes it for a fault of what it interrupts
 
 
 @contextmanager
