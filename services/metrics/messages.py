@@ -14,7 +14,17 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import order_of
 from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
-from cogradar.shared.protocol.orders import OF_TRACK, Accuracy, Look, Order, SectorSearch, Setting, in_force
+from cogradar.shared.protocol.orders import (
+    OF_TRACK,
+    Accuracy,
+    DropTrack,
+    EndRun,
+    Look,
+    Order,
+    SectorSearch,
+    Setting,
+    in_force,
+)
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.protocol.words.orders import text_of
 from cogradar.shared.scenario.faults import printable
@@ -95,7 +105,8 @@ def commands(store: Store, parameters: Mapping[str, str]) -> list[Run]:
         if state is None:
             found += _rows(store, run)
         elif run["status"] == "running":
-            found += _rows(store, run, "k IS NOT NULL AND over_k IS NULL")
+            rows = _rows(store, run, "k IS NOT NULL AND over_k IS NULL")
+            found += [row for row in rows if row["state"] != "over"]
     return selection.page(found)
 
 
@@ -133,12 +144,15 @@ def _rows(store: Store, run: Run, condition: str = "TRUE", values: Sequence[str]
         return []
     (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
     k = -1 if newest["k"] is None else newest["k"]
-    missing, unmet = set[int](), dict[int, str]()
+    missing, unmet, over = set[int](), dict[int, str](), set[int]()
     if run["status"] == "running":
         asked = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
-        there = in_force([_order(run["run"], row) for row in store.read(asked, [run["run"], k])], k)
+        begun = [_order(run["run"], row) for row in store.read(asked, [run["run"], k])]
+        there = in_force(begun, k)
+        # The recorder notes an end with its next checkpoint, some dwells later.
+        over = {order.n for order in begun if order not in there and not isinstance(order.action, DropTrack | EndRun)}
         missing, unmet = _missing(store, run["run"], k, there), _unmet(store, run["run"], k, there)
-    return [_row(run, row, k, unmet, is_missing=row["n"] in missing) for row in rows]
+    return [_row(run, row, k, unmet, is_missing=row["n"] in missing, is_over=row["n"] in over) for row in rows]
 
 
 def _order(run: str, row: Run) -> Order:
@@ -150,8 +164,10 @@ def _order(run: str, row: Run) -> Order:
         raise BadInput(printable(f"run = {run!r}: command {row['n']} cannot be read: {what}")) from None
 
 
-def _row(run: Run, row: dict[str, Any], newest_k: int, unmet: Mapping[int, str], *, is_missing: bool) -> dict[str, Any]:
-    is_over = row.pop("over_k") is not None or run["status"] != "running"
+def _row(
+    run: Run, row: dict[str, Any], newest_k: int, unmet: Mapping[int, str], *, is_missing: bool, is_over: bool
+) -> dict[str, Any]:
+    is_over = row.pop("over_k") is not None or is_over or run["status"] != "running"
     if row["k"] is None or is_over:
         state = "refused" if row["k"] is None else "over"
     elif row["k"] > newest_k:

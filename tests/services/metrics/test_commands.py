@@ -10,7 +10,19 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.messages import Command, Plan, Scan, Waveform
-from cogradar.shared.protocol.orders import Accuracy, Action, Look, PowerLimit, SectorSearch
+from cogradar.shared.protocol.orders import (
+    Accuracy,
+    Action,
+    DropTrack,
+    EndRun,
+    Look,
+    Pause,
+    PowerLimit,
+    Priority,
+    Resume,
+    SectorSearch,
+    Setting,
+)
 from cogradar.shared.wire.codec import encode
 from tests.services.loop import play, scans, waveforms
 from tests.skies import sky_start
@@ -73,7 +85,7 @@ def test_an_accuracy_that_the_newest_plan_lacks_is_not_met(store: Store) -> None
             obeyed = {"orders": np.array([1, 3], np.int32)} if topic == "waveform" else {}
             journal.add_message("r", message.k, topic, item, encode(message.model_copy(update=obeyed)))
     row, *others = answer(store, "commands", {"run": "r", "state": "open"})
-    assert [row["state"], *(other["state"] for other in others)] == ["not met", "in force", "in force"]
+    assert [(one["n"], one["state"]) for one in (row, *others)] == [(1, "not met"), (3, "in force")]
     assert re.fullmatch(r"known to 0\.\d+ km across the line of sight in dwell 5", row["reason"])
 
 
@@ -94,3 +106,36 @@ def test_an_order_awaits_the_allocator_until_a_waveform_obeys_it(store: Store) -
     assert _states(store) == {1: "awaits the allocator", 2: "in force", 3: "pending"}
     add(new.model_copy(update={"orders": np.array([1, 2], np.int32)}))
     assert _states(store) == {1: "in force", 2: "in force", 3: "pending"}
+
+
+LATER: list[tuple[Action, Action, bool]] = [  # the second one ends the first, and is in force itself
+    (Pause(), Resume(), False),
+    (Pause(), Pause(dwells=9), True),
+    (Pause(dwells=2), LOOK, True),
+    (PowerLimit(share=0.5), PowerLimit(share=0.25), True),
+    (PowerLimit(share=0.5), PowerLimit(share=1.0), False),
+    (LOOK.model_copy(update={"dwells": 2}), LOOK, True),
+    (BLANK, SectorSearch(from_deg=-40.0, to_deg=0.0, search="double"), True),
+    (BLANK, SectorSearch(from_deg=-40.0, to_deg=0.0, search="normal"), False),
+    (Priority(track=0, weight=4.0), Priority(track=0, weight=1.0), False),
+    (Accuracy(track=0, km=1.0), Accuracy(track=0, km=None), False),
+    (Setting(key="strategy", value="uniform"), Setting(key="strategy", value="power-aware"), True),
+]
+
+
+@pytest.mark.parametrize(("first", "second", "is_open"), LATER)
+def test_an_order_that_a_later_one_replaces_is_over_from_its_dwell_on(
+    store: Store, first: Action, second: Action, is_open: bool
+) -> None:
+    """Before the recorder notes it, some dwells later; drops and ends are open until then."""
+    journal, said = store.journal, play(START)
+    for n, (k, action) in enumerate(((2, first), (4, second), (2, DropTrack(track=1)), (3, EndRun())), 1):
+        journal.add_command(_command(n, action), n, k, "")
+    for scan, waveform in zip(scans(said)[:4], waveforms(said), strict=False):
+        journal.add_message("r", scan.k, "scan", 0, encode(scan))
+        obeying = waveform.model_copy(update={"orders": np.array([1, 2], np.int32)})
+        journal.add_message("r", scan.k, "waveform", 0, encode(obeying))
+    assert _states(store) == {1: "in force", 2: "pending", 3: "in force", 4: "in force"}
+    journal.add_message("r", 4, "scan", 0, encode(scans(said)[4]))
+    assert _states(store) == ({2: "in force"} if is_open else {}) | {3: "in force", 4: "in force"}
+    assert _states(store, None)[1] == "over"
