@@ -25,6 +25,10 @@ class Format(Protocol):
         """What is said first on a connection, before anything else; empty: nothing is."""
         return b""
 
+    def lost(self) -> None:
+        """The connection is lost, and with it perhaps what was said on it last."""
+        return
+
     def answer(self, data: bytes) -> bytes:  # noqa: ARG002
         """What is said to what the other side of a connection says. Raises RunFailed if that ends the feed."""
         return b""

@@ -156,6 +156,7 @@ class Tcp:
                 self._socket.sendall(greeting or answer + b"".join(output.data for output in outputs))
         except OSError as error:
             self._drop()
+            self._form.lost()
             self._say(error)
 
     def close(self) -> None:

@@ -23,6 +23,8 @@ from cogradar.shared.protocol.words.orders import forms
 from cogradar.shared.scenario.scenario import SiteSection
 
 VERSION = "BSI Flex 335 v2.0"
+MAX_ACKS = 4 * MAX_TASKS  # acknowledgements that are kept
+REPEATED_S = 300.0  # of the dwells' time: those that are younger when a connection is lost are said again
 STATUS_S = 5.0  # of the dwells' time, between reports of the radar's status
 MAX_BYTES = 1 << 20  # of a message that is answered
 FIELD_DEG = 180.0  # of view, around the boresight
@@ -55,7 +57,8 @@ class Sapient(Format):
         self._is_accepted = False
         self._status_s, self._told = float("-inf"), ("", "")  # of the newest status: when, mode and task
         self._heard = b""
-        self._tasking, self._acks = Tasking(command), deque[Ack](maxlen=4 * MAX_TASKS)
+        self._tasking, self._acks = Tasking(command), deque[Ack](maxlen=MAX_ACKS)  # those that are still to be said
+        self._said = deque[tuple[float, Ack]](maxlen=MAX_ACKS)  # on this connection, and when
         self._notify, self._dropped = notify, 0
 
     def encode(self, picture: Picture) -> list[Output]:
@@ -81,6 +84,14 @@ class Sapient(Format):
         self._forget()
         self._heard = b""
         return b"" if self._newest is None else self._registration(self._newest)
+
+    def lost(self) -> None:
+        """Whether the last acknowledgements have arrived is not known: they are repeated on the next connection."""
+        self._forget()
+        now_s = 0.0 if self._newest is None else self._newest.utc_s
+        again = [*(ack for said_s, ack in self._said if now_s - said_s < REPEATED_S), *self._acks]
+        self._said.clear()
+        self._acks = deque({(ack.node, ack.task): ack for ack in again}.values(), MAX_ACKS)  # the newest of each task
 
     def _forget(self) -> None:
         """Begin anew with the other side; tasks go on."""
@@ -149,6 +160,7 @@ class Sapient(Format):
         return _framed(message)
 
     def _acknowledged(self, picture: Picture, ack: Ack) -> bytes:
+        self._said.append((picture.utc_s, ack))
         message = self._begun(picture)
         message.destination_id = ack.node
         message.task_ack.task_id, message.task_ack.task_status = ack.task, ack.status

@@ -10,7 +10,7 @@ from cogradar.services.errors import BadInput, Failure
 from cogradar.services.feed.picture import Picture, Track
 from cogradar.services.feed.sapient.tasks import Wanted, undone, wanted_of
 from cogradar.services.runs.command import check_commander, order_on
-from cogradar.shared.protocol.orders import Action, EndRun
+from cogradar.shared.protocol.orders import Action, EndRun, Order, Pause, in_force
 from cogradar.shared.protocol.words.orders import text_of
 
 MAX_TASKS = 32  # that go on at a time; a run has room for 48 orders of its commanders
@@ -68,6 +68,7 @@ class _Task:
     until_s: float  # UTC, from which on it is to be undone
     asked: "Future[dict[str, Any]] | None"  # a command under way: to begin the task, or to undo it
     k: int | None = None  # first dwell under its order; None: it is not granted yet
+    is_paused: bool = False  # transmission, since this task asked for it
 
     @property
     def over_k(self) -> float:
@@ -118,8 +119,31 @@ class Tasking:
 
     def due(self, picture: Picture, shown: Mapping[str, Track]) -> list[Ack]:
         """What has become of tasks by this picture; those whose time is over are undone."""
-        found = [self._advanced(name, task, picture, shown) for name, task in list(self._tasks.items())]
+        replaced = self._replaced(picture)
+        found = [
+            self._over(name, COMPLETED, "a later task or command has replaced it")
+            if name in replaced
+            else self._advanced(name, task, picture, shown)
+            for name, task in list(self._tasks.items())
+        ]
         return [ack for ack in found if ack is not None]
+
+    def _replaced(self, picture: Picture) -> set[str]:
+        """Tasks whose orders no longer shape this dwell, although nothing has undone them."""
+        there = {name: task for name, task in self._tasks.items() if task.run == picture.run and task.asked is None}
+        begun = {name: task for name, task in there.items() if task.k is not None and task.k <= picture.k}
+        orders = [Order(n=n, k=task.k or 0, action=task.wanted.action) for n, task in enumerate(begun.values(), 1)]
+        left = {order.n for order in in_force(orders, picture.k)}
+        found = set[str]()
+        for n, (name, task) in enumerate(begun.items(), 1):
+            if isinstance(task.wanted.action, Pause):
+                is_ended = task.is_paused and not picture.is_paused  # by a command of somebody else
+                task.is_paused = picture.is_paused
+            else:
+                is_ended = False
+            if is_ended or (n not in left and undone(task.wanted.action) is not None):
+                found.add(name)
+        return found
 
     def _start(
         self, command: Command, node: str, task: Any, picture: Picture, shown: Mapping[str, Track]

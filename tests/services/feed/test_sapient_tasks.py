@@ -55,17 +55,17 @@ class Node:
         assert self.form.answer(WELCOME) == b""
         self.pass_to(1)
 
-    def at(self, k: int) -> Picture:
+    def at(self, k: int, *, is_paused: bool = False) -> Picture:
         self.radar.k = k
-        return picture(track(7), t=k)._replace(k=k)
+        return picture(track(7), t=k)._replace(k=k, is_paused=is_paused)
 
     def task(self, control: int = START, name: int = 0, **content: Any) -> list[tuple[int, str]]:
         """What is said of a task at once."""
         return acks(self.form.answer(framed(task={"task_id": TASK.format(name), "control": control, **content})))
 
-    def pass_to(self, k: int) -> list[tuple[int, str]]:
+    def pass_to(self, k: int, *, is_paused: bool = False) -> list[tuple[int, str]]:
         """What is said of tasks with the picture of a dwell."""
-        return acks(b"".join(output.data for output in self.form.encode(self.at(k))))
+        return acks(b"".join(output.data for output in self.form.encode(self.at(k, is_paused=is_paused))))
 
     def object(self) -> str:
         """The only track's."""
@@ -245,6 +245,29 @@ def test_with_the_run_its_tasks_end() -> None:
     assert node.task(**command(mode_change="pause")) == [(REJECTED, "the radar has said goodbye")]
 
 
+def test_a_task_whose_order_another_one_replaces_is_over() -> None:
+    node = Node()
+    node.task(**command(mode_change="pause"))
+    node.task(name=1, **region(cone(60.0, 20.0)))
+    assert [status for status, _ in node.pass_to(2)] == [ACCEPTED] * 2
+    assert node.pass_to(6) == []
+    node.task(name=2, **command(mode_change="search and track"))
+    node.task(name=3, **region(cone(60.0, 60.0)))
+    assert [status for status, _ in node.pass_to(7)] == [ACCEPTED] * 2
+    assert node.pass_to(10) == []
+    replaced = (COMPLETED, "a later task or command has replaced it")
+    assert node.pass_to(11) == [replaced, replaced, (COMPLETED, "resume: done with dwell 11")]
+    assert node.task(STOP) == [(REJECTED, "no task of this identifier goes on")]
+
+
+def test_a_pause_that_somebody_else_ends_is_over() -> None:
+    node = Node()
+    node.task(**command(mode_change="pause"))
+    node.pass_to(2)
+    assert [node.pass_to(k, is_paused=paused) for k, paused in ((6, False), (7, True), (8, True))] == [[]] * 3
+    assert node.pass_to(9) == [(COMPLETED, "a later task or command has replaced it")]
+
+
 def test_so_many_tasks_go_on_at_a_time() -> None:
     node = Node()
     for i in range(MAX_TASKS):
@@ -321,4 +344,42 @@ def test_over_a_connection_a_task_is_done_and_stopped(monkeypatch: pytest.Monkey
         assert [text for text in said if "4294967295 bytes" in text]
         way.close()
         fusion.close()
+        again.close()
+
+
+def test_acknowledgements_that_an_outage_may_have_taken_are_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that were sent before it was noticed, and those that were due while no connection could be had."""
+    monkeypatch.setattr("cogradar.services.feed.transport.RETRY_S", 0.0)
+    radar, said = Radar(), list[str]()
+    form = Sapient(radar, said.append)
+
+    def dwell(k: int) -> None:
+        radar.k = k
+        way.send(form.encode(picture(track(7), t=k)._replace(k=k)))
+
+    server = socket.create_server(("127.0.0.1", 0))
+    port = server.getsockname()[1]
+    way = Tcp("127.0.0.1", port, form, said.append)
+    dwell(1)
+    fusion = Fusion(server)
+    fusion.send()
+    fusion.task(0, **command(look_at=cone(72.5)))
+    fusion.task(1, **command(mode_change="pause"))
+    dwell(2)  # in which they are read
+    fusion.close()
+    server.close()
+    for k in (3, 12, 16, 17):  # accepted into a connection that is none; the look is over meanwhile
+        dwell(k)
+    assert said
+    with socket.create_server(("127.0.0.1", port)) as server:
+        dwell(18)
+        again = Fusion(server)
+        again.send()
+        dwell(19)
+        dwell(20)
+        assert again.until("task_ack", task_id=TASK.format(0), task_status=ACCEPTED)
+        assert again.until("task_ack", task_id=TASK.format(1)).reason == ["pause from dwell 7 on"]
+        assert again.until("task_ack").reason == ["look 12.5 10 0.2: done with dwell 17"]
+        assert again.until("status_report").active_task_id == TASK.format(1)
+        way.close()
         again.close()
