@@ -23,7 +23,7 @@
 
 using Bytes = std::vector<std::uint8_t>;
 using Packer = msgpack::packer<msgpack::sbuffer>;
-constexpr int PROTOCOL = 9, SCHEMA = 2, N_TX = 16, N_RX = 16;
+constexpr int PROTOCOL = 10, SCHEMA = 2, N_TX = 16, N_RX = 16;
 
 // Elements of an array, row by row, and the lengths of its axes.
 template <class T> struct Array {

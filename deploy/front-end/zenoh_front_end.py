@@ -20,7 +20,7 @@ import numpy as np
 import zenoh
 import zenoh.shm
 
-PROTOCOL, SCHEMA = 9, 2  # of keys, and of messages
+PROTOCOL, SCHEMA = 10, 2  # of keys, and of messages
 DTYPES = {b"i4": "<i4", b"f8": "<f8", b"c8": "<c8"}
 TARGETS = ((40.0, -0.05, -30.0, 0.02), (50.0, -0.03, 20.0, 0.03))  # x, vx, y, vy; km, km/s
 

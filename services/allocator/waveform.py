@@ -187,7 +187,7 @@ def _message(
             "beams": beams,
             "shares": sent.shares,
             "status": sent.status,
-            "late": np.array([plan.k != update.k for plan in update.plans], dtype=np.int32),
+            "late": np.array([update.k - plan.k for plan in update.plans], dtype=np.int32),
             "orders": np.array(obeyed, np.int32) if obeyed else None,
             "settings": settings_of(orders),
         }

@@ -3,7 +3,8 @@
 A planner takes up tracks as in the run, with a clock that stands still: no search is cut short. The allocator gets the
 clock of lockstep. For a run in real time this leaves out what depended on the clock. Of searches that a deadline cut
 short it leaves out the bin and the number of simulations. It leaves out waveforms of dwells without all plans in time,
-or after a scan of an older roster. It also leaves out everything after a dwell whose scan is missing.
+or after a scan of an older roster. Tracks coast over a dwell without a scan, as they did in the run. A plan says which
+scans its belief went without (`Plan.unseen`): it is left out where the journal has other scans.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,20 +22,22 @@ from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
 from cogradar.shared.protocol.orders import DropTrack, Order, in_force, of_tracks
+from cogradar.shared.protocol.recovery import History
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.tables import TRUE_RULES
-from cogradar.shared.wire.codec import decode
+from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.runner import Core
 
+REPLAY = "replay"  # name of the planner
 ACKNOWLEDGE_EVERY = 64  # dwells, so that a core keeps no more than in a run
 OF_THE_CLOCK = {"bins", "nus", "chances", "gain", "n_sim"}  # fields of a plan that depend on when its search ended
 
 
 # What each core is fed, and what it answers. Of a known number of tracks the allocator leaves the scans alone.
 CORES: dict[str, tuple[Callable[[], Core], tuple[type[Scan | Plan], ...], type[Plan | Waveform]]] = {
-    "planner": (lambda: PlannerCore("replay", lambda: 0.0), (Scan,), Plan),
+    "planner": (lambda: PlannerCore(REPLAY, lambda: 0.0), (Scan,), Plan),
     "allocator": (AllocatorCore, (Plan, Scan), Waveform),
 }
 
@@ -59,7 +62,9 @@ class Replay:
     difference: Difference | None = None
     cut_short: int = 0  # plans of which bin and n_sim were not compared
     late: int = 0  # waveforms that were not compared
-    gap: int | None = None  # dwell whose scan is missing: nothing was compared from there on
+    missing: int = 0  # dwells without a scan, over which tracks coasted
+    skipped: int = 0  # ... that never happened, as the next scan says
+    other_scans: int = 0  # plans that were not compared: their planner had not the scans of the journal
 
 
 def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
@@ -85,22 +90,27 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     outcome, t = Replay(0), 0
     given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
     before: Sequence[Message] = ()  # recorded answers of the dwell before
+    next_k, lost_k = first, -1  # after the newest scan; the newest dwell without one
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]
         inputs = [message for message in messages if isinstance(message, fed)]
-        if to == "planner" and (k != n_fed or not inputs):
-            outcome = replace(outcome, gap=n_fed)
-            break
         if to == "allocator" and not by_clock and not _has_plans(inputs):
             raise BadInput(f"{stored.name}: scan or plans of dwell {k} are not stored, as in the store of a campaign")
         t = max((message.t for message in inputs), default=t)
         if given and (obeyed := _obeyed(given, messages, k + 1, by_clock=by_clock)) != told:
             told = obeyed
             core.handle(_checkpoint(stored, *acknowledged, told))
+        if rate_hz and inputs and k > next_k:
+            outcome, lost_k = _without_scans(outcome, inputs[0], k - next_k), k - 1
+            core.handle(_checkpoint(stored, k, t, rate_hz=rate_hz))
+            core.handle(History(run=stored.name, to=REPLAY, topic="scan", k=next_k, payloads=[encode(inputs[0])]))
+        next_k = k + 1 if inputs else next_k
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
         if rate_hz:  # what is rebuilt between two dwells
             answers += [answer for answer in core.handle(Tick(k / rate_hz)) if isinstance(answer, compared)]
-        recorded = [message for message in messages if isinstance(message, compared)]
+        recorded: Sequence[Message] = [message for message in messages if isinstance(message, compared)]
+        if rate_hz:
+            outcome, recorded = _of_these_scans(outcome, recorded, inputs, answers, lost_k)
         # In real time the allocator goes on from the roster that it sent last, where a scan has an older one.
         is_stale = by_clock and to == "allocator" and k > first and _rosters(inputs) != _rosters(before)
         outcome = _compared(outcome, recorded, [] if is_stale else answers, (k, t), by_clock=by_clock)
@@ -111,12 +121,15 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         if (k + 1) % ACKNOWLEDGE_EVERY == 0:
             acknowledged = k + 1, t
             core.handle(_checkpoint(stored, *acknowledged, told, rate_hz=rate_hz))
-    is_empty = stored.scenario.radar.is_unknown and t > 0  # nothing was found: there was nothing to plan
-    if not outcome.agreed and not outcome.late and not is_empty:
-        raise BadInput(
-            f"{stored.name}: no {topics[0]} and {topics[-1]} of dwell 0 is stored, as in the store of a campaign"
-        )
+    _check_begun(stored, outcome, t, f"{topics[0]} and {topics[-1]}")
     return outcome
+
+
+def _check_begun(stored: StoredRun, outcome: Replay, t: int, topics: str) -> None:
+    """Raises BadInput if nothing was compared, unless nothing was found: there was nothing to plan."""
+    is_empty = stored.scenario.radar.is_unknown and t > 0
+    if not outcome.agreed and not outcome.late and not outcome.other_scans and not is_empty:
+        raise BadInput(f"{stored.name}: no {topics} of dwell 0 is stored, as in the store of a campaign")
 
 
 def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_clock: bool) -> list[Order]:
@@ -129,6 +142,32 @@ def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_c
     rosters = _rosters([one for one in messages if isinstance(one, Scan)])
     born_ks = dict(zip(rosters[0].ids.tolist(), rosters[0].born_k.tolist(), strict=True)) if rosters else None
     return [*of_tracks(in_force(given, k), born_ks), *dropping]  # without the births of all earlier tracks
+
+
+def _without_scans(outcome: Replay, scan: Message, n: int) -> Replay:
+    """The outcome with so many more dwells before a scan that have none."""
+    skipped = (scan.skipped or 0) if isinstance(scan, Scan) else 0
+    return replace(outcome, missing=outcome.missing + n, skipped=outcome.skipped + min(skipped, n))
+
+
+def _of_these_scans(
+    outcome: Replay, recorded: Sequence[Message], inputs: Sequence[Message], answers: Sequence[Message], lost_k: int
+) -> tuple[Replay, Sequence[Message]]:
+    """The outcome with the other recorded plans; and those of beliefs that had the scans of the journal.
+
+    lost_k : newest dwell without a scan in the journal; a track that began before it may have begun in that scan
+    """
+    unseen = {answer.target: answer.unseen for answer in answers if isinstance(answer, Plan)}
+    rosters = [roster_of(scan) for scan in inputs if isinstance(scan, Scan)]
+    old = {m for one in rosters for m, k in zip(one.ids.tolist(), one.born_k.tolist(), strict=True) if k <= lost_k}
+    found = [
+        plan
+        for plan in recorded
+        if isinstance(plan, Plan)
+        and inputs
+        and (plan.unseen == unseen[plan.target] if plan.target in unseen else plan.target not in old)
+    ]
+    return replace(outcome, other_scans=outcome.other_scans + len(recorded) - len(found)), found
 
 
 def _rosters(messages: Sequence[Message]) -> list[Roster]:
@@ -154,8 +193,11 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
         notes.append(
             f"{outcome.late} waveforms were not compared: their plans, or the waveforms before them, were late"
         )
-    if outcome.gap is not None:
-        notes.append(f"the scan of dwell {outcome.gap} is not stored: nothing from there on was compared")
+    if outcome.missing:
+        skipped = f", {outcome.skipped} of which never happened" if outcome.skipped else ""
+        notes.append(f"{outcome.missing} dwells have no scan{skipped}: tracks coasted over them")
+    if outcome.other_scans:
+        notes.append(f"{outcome.other_scans} plans were not compared: their planner had other scans than the journal")
     if (found := outcome.difference) is None:
         return [f"{run}: {agreed}", *notes]
     whose = "" if found.track is None else f" of track {found.track}"

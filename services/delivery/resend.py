@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import pacing_at
-from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Truth, Waveform
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
 
 
 def _is_lacking(message: Message, tracks: Sequence[int]) -> bool:
     """Whether plans of some tracks, or the waveform, may be lacking because somebody else lacks this message."""
-    return isinstance(message, Scan | Waveform) or (isinstance(message, Plan) and message.target in tracks)
+    return isinstance(message, Scan | Truth | Waveform) or (isinstance(message, Plan) and message.target in tracks)
 
 
 class ResendBuffer:

@@ -62,6 +62,7 @@ class _Run:
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
     begun_k: int = 0  # k when the run was begun here
     over: bool = False
+    last_k: int | None = None  # dwell of the last scan, if it was measured here
     strongest: Strongest | None = None  # of the acquisition
     unmeasured: int = 0  # dwells of the acquisition in which nothing was measured
     last_fault: str = ""  # ... why
@@ -289,9 +290,7 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
 
 
 def _skip(run: _Run, k: int) -> None:
-    """In real time: the others went on to dwell k while this process was away, or its front end was being opened. The
-    clock went on all the while; the dwells in between never happened.
-    """
+    """In real time: the clock, or others, went on to dwell k meanwhile; the dwells in between never happened."""
     skipped = min(k - run.k, run.settings.dwells - run.t)
     run.k, run.t = run.k + skipped, run.t + skipped
 
@@ -331,8 +330,8 @@ def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
 def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Sequence[Message]:
     """One transmit-receive cycle, or the end of a front end that has no more of them.
 
-    While targets are acquired in real time, a dwell in which nothing was measured is none: the acquisition has no
-    dwell to spare. As many more as it has are sent all the same, now and then, so that all are told of the fault.
+    While targets are acquired in real time, a dwell without a measurement is none: the acquisition has none to spare.
+    As many more as it has are sent all the same, now and then, so that all are told of the fault.
     """
     asked = _asked(run, k, waveform)
     is_tracking = run.is_tracking(waveform)
@@ -359,7 +358,7 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
             if now_s < run.say_s or run.said >= run.radar.acquisition.max_scans:
                 return ()
             run.said, run.say_s = run.said + 1, now_s + SAY_S
-    run.t = scan.t
+    run.t, run.last_k = scan.t, k
     return _with_truth(run, scan, waveform)
 
 
@@ -395,7 +394,7 @@ def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, aske
         measured = compared(run.radar, asked, measured, sent_k if sent_k < k - 1 else None)
         is_lit = measured.beams is not None and (np.asarray(measured.beams) >= 0).any()
         t = run.t + (1 if is_lit or run.radar.is_unknown else 0)
-        return scan_message(run.settings, k, t, measured, waveform)
+        return scan_message(run.settings, k, t, measured, waveform, run.last_k)
     except SenselessScan as error:
         return str(error)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # it is no array, ...

@@ -250,13 +250,19 @@ def _cell(measured: ScanData, row: int) -> str:
     return f"bin {measured.bins[row]}{where}"
 
 
-def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
-    """The message of what was measured. Raises SenselessScan if it cannot be: all readers would drop it."""
+def scan_message(
+    settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None, last_k: int | None = None
+) -> Scan:
+    """The message of what was measured. Raises SenselessScan if it cannot be: all readers would drop it.
+
+    last_k : dwell of the last scan, if it is known: the radar skipped the dwells between
+    """
     radar = settings.radar
     sent_roster, settings_sent = (no_tracks(), None) if waveform is None else (waveform.roster, waveform.settings)
     unsent = {name for part, names in Scan.PARTS.items() for name in names if not IS_NEEDED[part](radar)}
     said = {"run": settings.run, "k": k, "t": t, "roster": measured.roster or sent_roster}
     said |= {"settings": measured.settings or settings_sent}
+    said |= {"skipped": None if last_k is None else k - 1 - last_k or None}
     try:
         with np.errstate(over="ignore"):  # what is infinite then is refused
             said |= {

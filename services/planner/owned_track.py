@@ -1,11 +1,12 @@
 """A track that a planner owns: its state, what is prepared for its next scan, and the snapshot that is pending."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cogradar.services.delivery.pacing import Pacing
-from cogradar.shared.protocol.fields import MAX_PARTICLES
+from cogradar.shared.protocol.fields import MAX_PARTICLES, MAX_UNSEEN
 from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.radar_config import Strategy
@@ -47,10 +48,10 @@ def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
     return coast(model, born(model, track, int(roster.born_k[place]), roster.births[row]), scan.k)
 
 
-def snapshot_of(run: str, state: TrackState) -> Snapshot:
-    """The message that carries a state."""
+def snapshot_of(run: str, state: TrackState, unseen: Sequence[int] = ()) -> Snapshot:
+    """The message that carries a state, and the dwells whose scans it went without."""
     carried = {name: getattr(state, name) for name in TrackState._fields}
-    return Snapshot(run=run, **carried | {"belief": state.belief.rows})
+    return Snapshot(run=run, **carried | {"belief": state.belief.rows}, unseen=list(unseen) or None)
 
 
 def state_of(model: TrackerModel, snapshot: Snapshot) -> TrackState:
@@ -62,14 +63,17 @@ def state_of(model: TrackerModel, snapshot: Snapshot) -> TrackState:
 class OwnedTrack:
     """One track of this worker."""
 
-    def __init__(self, model: TrackerModel, state: TrackState, since: int, pacing: Pacing) -> None:
+    def __init__(
+        self, model: TrackerModel, state: TrackState, since: int, pacing: Pacing, unseen: Sequence[int] = ()
+    ) -> None:
         self.state = state
+        self.unseen = tuple(unseen)[-MAX_UNSEEN:]  # dwells whose scans the belief went without, the newest ones
         self.since = since  # newest scan when this worker became the owner
         self.planned = -1  # dwell of the last plan
         self._model, self._pacing = model, pacing
         self._prediction: Prediction | None = None
         self._prepared: TrackState | None = None  # of which there is one, or none can be
-        self._pending: TrackState | None = None  # to be sent as a snapshot
+        self._pending: tuple[TrackState, tuple[int, ...]] | None = None  # to be sent as a snapshot
 
     @property
     def k(self) -> int:
@@ -87,7 +91,7 @@ class OwnedTrack:
     def save(self) -> None:
         """Let there be a snapshot as soon as one may be sent, unless the belief has more particles than a message."""
         if self._pending is None and self.state.belief.rows.shape[0] <= MAX_PARTICLES:
-            self._pending = self.state
+            self._pending = self.state, self.unseen
 
     @property
     def is_saved(self) -> bool:
@@ -96,6 +100,7 @@ class OwnedTrack:
 
     def coast(self, k: int) -> None:
         """Advance to just before dwell k without an observation."""
+        self.unseen = (*self.unseen, *range(max(self.k, k - MAX_UNSEEN), k))[-MAX_UNSEEN:]
         self.state = coast(self._model, self.state, k)
         self._prediction = None
 
@@ -111,10 +116,10 @@ class OwnedTrack:
 
         A planner that continues from it makes no plan of its dwell or of those before: none of them may be lost.
         """
-        if self._pending is None or self._pending.k >= acknowledged:
+        if self._pending is None or self._pending[0].k >= acknowledged:
             return None
-        state, self._pending = self._pending, None
+        pending, self._pending = self._pending, None
         try:
-            return snapshot_of(run, state)
+            return snapshot_of(run, *pending)
         except ValueError:  # a belief that has flown beyond what a message may say: it goes on without a snapshot
             return None

@@ -54,6 +54,9 @@ class PlannedRun:
         self._scans: dict[int, Scan] = {}
         self._seen: tuple[Scan, Detections, frozenset[int]] | None = None
         self._newest = -1
+        self._lost = set[int]()  # dwells without a scan: the journal has none, or they never happened
+        self._missed: dict[int, int] = {}  # dwells whose scans did not come, by the scan that showed it
+        self._since: dict[int, int] = {}  # newest scan when a track was to begin and scans after its birth lacked
         self._tracks: dict[int, OwnedTrack] = {}
         is_joining = checkpoint.k > 0
         awaited = self._pacing.awaited_offers if is_joining and not checkpoint.resend else 0
@@ -94,6 +97,7 @@ class PlannedRun:
         held = set(self._held.all)
         self._tracks = {m: track for m, track in self._tracks.items() if m in held}
         self._restored.intersection_update(held)
+        self._since = {m: k for m, k in self._since.items() if m in held and m not in self._tracks}
 
     def _own_changed(self) -> None:
         if not self.source.is_fixed:
@@ -126,6 +130,7 @@ class PlannedRun:
             check_snapshot(snapshot, self.radar)
         for scan in scans:
             self._keep(scan)
+        self._note_lost(history.k, {scan.k for scan in scans})
         for snapshot in snapshots:
             self._restore(snapshot)
         return self._advance_or_defer()
@@ -177,6 +182,8 @@ class PlannedRun:
             raise Unplanned(self._run, str(error)) from error
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
+        self._lost = {k for k in self._lost if k > self._newest - KEPT_SCANS}
+        self._missed = {k: shown for k, shown in self._missed.items() if k > self._newest - KEPT_SCANS}
         yield from self._snapshots()
         yield from self._missing()
 
@@ -186,6 +193,8 @@ class PlannedRun:
 
     def _keep(self, scan: Scan) -> None:
         self._scans.setdefault(scan.k, scan)
+        if self._pacing.loses_dwells:
+            self._note_missed(scan)
         self._newest = max(self._newest, scan.k)
         self._own_changed()
 
@@ -193,7 +202,7 @@ class PlannedRun:
         """Let an owned track that is behind its snapshot continue from there."""
         if snapshot.target in self._held.all and self._next_k(snapshot.target) <= snapshot.k:
             self._tracks[snapshot.target] = OwnedTrack(
-                self._model, state_of(self._model, snapshot), self._newest, self._pacing
+                self._model, state_of(self._model, snapshot), self._newest, self._pacing, snapshot.unseen or ()
             )
             self._restored.add(snapshot.target)
 
@@ -257,7 +266,11 @@ class PlannedRun:
     def _begun(self, target: int) -> OwnedTrack | None:
         """A track as far as it has come, or as it begins; None if this cannot be known yet."""
         if target not in self._tracks and (state := self.source.begin(target, self._scans)) is not None:
-            self._tracks[target] = OwnedTrack(self._model, state, self._newest, self._pacing)
+            unseen = [k for k in range(self.source.first_k(target), state.k + 1) if k not in self._scans]
+            lacking = next((k for k in unseen if k not in self._lost), None)
+            if lacking is not None and not self._has_waited(lacking, self._since.setdefault(target, self._newest)):
+                return None
+            self._tracks[target] = OwnedTrack(self._model, state, self._newest, self._pacing, unseen)
         return self._tracks.get(target)
 
     def _observe_next(self, track: OwnedTrack) -> Scan | None:
@@ -280,10 +293,30 @@ class PlannedRun:
 
     def _next_scan(self, track: OwnedTrack) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may be lost for good, it does not wait for long."""
-        waited = self._newest - max(track.k, track.since)
-        if track.k not in self._scans and self._pacing.may_coast(waited):
-            track.coast(min(k for k in self._scans if k > track.k))
+        if track.k not in self._scans:
+            k = next(k for k in itertools.count(track.k) if k not in self._lost or k in self._scans)
+            if self._has_waited(track.k, track.since):
+                k = min(k for k in self._scans if k > track.k)
+            if k > track.k:
+                track.coast(k)
         return self._scans.get(track.k)
+
+    def _has_waited(self, k: int, since: int) -> bool:
+        """Whether scan k has been awaited for long, while newer ones came, by a track that is here since a scan."""
+        return self._pacing.may_coast(self._newest - max(self._missed.get(k, k), since))
+
+    def _note_missed(self, scan: Scan) -> None:
+        """Note what a scan shows to be missing: it is awaited from now on, unless the dwell never happened."""
+        first = max(self._newest + 1, scan.k - KEPT_SCANS)
+        if self._newest >= 0 and first < scan.k:
+            self._missed |= dict.fromkeys(range(first, scan.k), scan.k)
+        if scan.skipped is not None:
+            self._lost |= {*range(scan.k - min(scan.skipped, KEPT_SCANS), scan.k)}
+
+    def _note_lost(self, first_k: int, recalled: set[int]) -> None:
+        """Of acknowledged dwells the journal has all scans that there will ever be: tracks do not wait for others."""
+        if recalled and self._pacing.loses_dwells:
+            self._lost |= {*range(first_k, min(max(recalled), self.resend.k))} - recalled
 
     def _plan_in_lockstep(self, track: OwnedTrack, t: int) -> Iterator[Plan]:
         first = max(self.resend.k, self._held.first_k(track.state.target))
@@ -299,7 +332,7 @@ class PlannedRun:
     def _plan(self, track: OwnedTrack, t: int) -> Plan:
         state = track.state
         track.planned = state.k
-        judged = self.source.judged(state)
+        judged = self.source.judged(state) | ({"unseen": list(track.unseen)} if track.unseen else {})
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
         decision = decide(*self._settings(state.k), state, has_time)
         if self._model.existence.is_over(state, max(decision.chances.tolist(), default=0.0)):

@@ -39,6 +39,7 @@ REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 OVERDUE_S = 3.0
 OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
+ASK_TICKS = 3  # in real time: from a request for a scan to the next
 MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
 MAX_REASON = 500  # characters of it, all together
 HINDERED_S = 10.0  # after it was said last it is over: the longest time between two checkpoints is 4 s
@@ -242,7 +243,16 @@ class RecordedRun:
         if self._is_resumed and self.pacing.has_deadlines and self._ticks * TICK_S == 1.0:
             return True
         is_overdue = bool(self._overdue and not self.pacing.has_deadlines)
-        return is_overdue or self._timer.is_over(is_shared=self._is_shared)
+        return self._asks_for_scan or is_overdue or self._timer.is_over(is_shared=self._is_shared)
+
+    @property
+    def _asks_for_scan(self) -> bool:
+        """Whether dwell k lacks its scan in real time, although a later one came a while ago: now and then."""
+        dwell = self._dwells.get(self.k)
+        if not self.pacing.has_deadlines or (dwell is not None and dwell.t is not None):
+            return False
+        shown = next((dwell.since for dwell in self._dwells.values() if dwell.t is not None), self._ticks)
+        return (self._ticks - shown) % ASK_TICKS == 1
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
@@ -268,6 +278,8 @@ class RecordedRun:
 
         If it is only the waveform: none at first, since the allocator may be at it; then all, since it may lack some.
         """
+        if self._asks_for_scan:
+            return []
         dwell = self._dwells.get(self.k)
         if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
             return None

@@ -24,6 +24,7 @@ MAX_HISTORY = 256  # Messages of a History.
 MAX_CELLS = 3  # Cells that a track asks for: a target near a border is in one of two, or its belief is spread.
 MAX_BEAMS = 1024  # Beams of a track in a dwell: a look may be widened over the whole grid
 MIXTURE = (3, 31)  # numbers of a belief of Gaussians: weight, mean and covariance of each mode of motion
+MAX_UNSEEN = 64  # Newest dwells without a scan that a plan names.
 FAR = limits.FAR
 LARGEST = 1e60  # of any number in an array, so that products of several are finite; 1 / LARGEST: of a divisor the least
 
@@ -163,6 +164,12 @@ def _rate(value: float) -> float:
     return value
 
 
+def _ascending(values: list[int]) -> list[int]:
+    if values != sorted(set(values)):
+        raise ValueError("must ascend")
+    return values
+
+
 def _different(values: list[int]) -> list[int]:
     if len(set(values)) < len(values):
         raise ValueError("must all be different")
@@ -241,6 +248,8 @@ UtcSeconds = Annotated[float, Field(ge=0, lt=7_258_118_400.0)]  # since 1970, be
 Count = Annotated[int, Field(ge=0, lt=2**48)]  # of a run: up to MAX_SIDE things, twice in each of its dwells
 Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
 Lacking = Annotated[list[Index], Field(max_length=MAX_SIDE)] | None  # tracks; None: more than of tracks
+Skipped = Annotated[int, Field(ge=1, lt=2**31)]
+Unseen = Annotated[list[Index], Field(min_length=1, max_length=MAX_UNSEEN), AfterValidator(_ascending)]
 Size = Annotated[float, Field(ge=0, le=LARGEST)]
 Product = Annotated[float, Field(ge=0, le=LARGEST**3)]  # of sizes
 Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep

@@ -38,8 +38,10 @@ from cogradar.shared.protocol.fields import (
     RunId,
     Seed,
     Size,
+    Skipped,
     State,
     States,
+    Unseen,
     UtcSeconds,
     World,
     check_different,
@@ -134,7 +136,7 @@ class Checkpoint(_Settings):
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
     resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged, ...
-    lacking: Lacking = None  # ... or of it only scans, waveforms, and the plans of these tracks
+    lacking: Lacking = None  # ... or of it only scans, truth, waveforms, and the plans of these tracks
     ended: bool = False  # the run is over and complete in the journal: forget it
     held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
@@ -189,6 +191,7 @@ class Scan(Message):
     fault: Annotated[str, Field(max_length=MAX_FAULT)] | None = None  # why nothing was measured, if that is known
     # Dwell whose waveform was radiated, and whose looks these are, if it is older than k-1; -1: there was none.
     waveform_k: Annotated[int, Field(ge=-1)] | None = None
+    skipped: Skipped | None = None  # so many dwells before it never happened, as the radar was away; None: none
     settings: Settings | None = None  # of the waveform, so that planners are told
     utc_s: UtcSeconds | None = None  # when it was measured, since 1970 in UTC, if the receiver knows
     front_end: OwnName | None = None  # the user's own class that measured it, with the hash of its source
@@ -294,6 +297,8 @@ class Plan(Message):
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
     nus: Floats | None = None  # (c,) directions of the cells, if they are steered
     gate: Gate | None = None  # (2,) ranges to be tested, km; (0, 0): all
+    # In real time: dwells whose scans the belief went without since the track began, the newest ones; None: it has all.
+    unseen: Unseen | None = None
     # Of tracks of an unknown number only.
     existence: Annotated[float | None, Field(ge=0, le=1)] = None  # probability that there is a target
     confirmed: bool | None = None  # or tentative
@@ -335,7 +340,7 @@ class Waveform(Message):
     beams: Beams  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
     shares: FloatLists  # (M, L) power on each beam, sums to the power not isotropic
     status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
-    late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
+    late: Ints  # (M,) k less the dwell of the plan that was used; 0 where the plan of dwell k was in time
     nus: FloatLists | None = None  # (M, L) directions of `beams`, if they are steered; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges to be tested for each track, km; (0, 0): all
     roster: Roster | None = None  # the tracks, if their number is unknown

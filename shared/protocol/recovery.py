@@ -19,6 +19,7 @@ from cogradar.shared.protocol.fields import (
     Product,
     Size,
     States,
+    Unseen,
     are_divisors,
 )
 from cogradar.shared.protocol.messages import Message
@@ -76,6 +77,7 @@ class Snapshot(Message):
     existence: Annotated[float, Field(ge=0, le=1)]
     confirmed: bool
     in_doubt: bool
+    unseen: Unseen | None = None  # as in a plan
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

@@ -36,7 +36,7 @@ from cogradar.shared.protocol.recovery import (
 )
 from cogradar.shared.protocol.slots import ALL_SLOTS
 
-PROTOCOL = 9  # of messages and keys; tests/shared/wire/test_contract.py says when it must be raised
+PROTOCOL = 10  # of messages and keys; tests/shared/wire/test_contract.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 

@@ -154,6 +154,22 @@ def test_in_real_time_the_radar_searches_before_anybody_has_told_it_of_tracks_an
     assert (again.k, again.t, again.roster) == (4, 5, first.roster)
 
 
+def test_a_scan_says_how_many_dwells_before_it_never_happened() -> None:
+    """Only the process knows that sent the scan before them: another one may have transmitted some."""
+    start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})
+    core, skipped = EmulatorCore(SimulatedFrontEnd.open), list[int | None]()
+    core.handle(checkpoint(start))
+    for now_s, k in enumerate((-1, 0, 1, 5, 6)):  # after the fourth dwell, others have gone on to dwell 6
+        if k >= 0:
+            core.handle(_waveform(k, tracking=True))
+        skipped += [scan.skipped for scan in scans(list(core.handle(Tick(float(now_s)))))]
+    assert skipped == [None, None, None, 3, None]
+    back = EmulatorCore(SimulatedFrontEnd.open)
+    back.handle(checkpoint(start, 3, 3))
+    back.handle(_waveform(8, tracking=True))
+    assert [(scan.k, scan.skipped) for scan in scans(list(back.handle(Tick(9.0))))] == [(9, None)]
+
+
 def test_the_run_ends_after_its_last_dwell() -> None:
     core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin(dwells=2))

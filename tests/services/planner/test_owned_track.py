@@ -94,7 +94,7 @@ def received(state: TrackState) -> Snapshot:
 
 
 def test_the_message_has_the_fields_of_the_state() -> None:
-    assert list(Snapshot.model_fields) == ["run", *TrackState._fields]
+    assert list(Snapshot.model_fields) == ["run", *TrackState._fields, "unseen"]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -98,6 +98,17 @@ def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(sent: list[Me
     assert [(plan.k, plan.target) for plan in _caught_up(core)] == [(later[-1].k, 0), (later[-1].k, 1)]
 
 
+def test_a_dwell_that_never_happened_is_passed_over_at_once_and_plans_name_it(sent: list[Message]) -> None:
+    core, received = _planner(Clock()), scans(sent)
+    gap = next(i for i, scan in enumerate(received) if scan.t == 2)
+    after = received[gap + 1].model_copy(update={"skipped": 1})
+    for scan in received[:gap]:
+        core.handle(scan)
+    assert [plan.unseen for plan in _caught_up(core)] == [None, None]
+    core.handle(after)
+    assert [(plan.k, plan.unseen) for plan in _caught_up(core)] == [(after.k, [received[gap].k])] * 2
+
+
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_every_strategy_begins_a_run_in_real_time(strategy: Strategy) -> None:
     start = _start().model_copy(update={"strategy": strategy})

@@ -95,10 +95,21 @@ def test_a_recorder_that_comes_back_in_real_time_asks_once_for_what_it_missed() 
     journal.commit()
     core = RecorderCore(journal, resume=True)
     asked = []
-    for scan in scans(sent)[12:19]:  # which come all the while
+    for scan in scans(sent)[11:18]:  # which come all the while
         core.handle(scan)
         asked.append([m.k for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint) and m.resend])
     assert [ks for ks in asked if ks] == [[11, 11]]  # to the radar's processes and to the emulator
+
+
+def test_a_scan_that_is_missing_although_a_later_one_has_come_is_asked_for_until_it_comes() -> None:
+    sent = play(smoke_start(dwells=40))
+    k = next(scan.k for scan in scans(sent) if scan.t == 3)
+    core, _ = _recorded(_without(sent, (Scan, 3)), (RunEnd,), _start(40))
+    asked = [[m for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint) and m.resend] for _ in range(6)]
+    assert [[m.k for m in found] for found in asked] == [[k, k], [], [], [k, k], [], []]
+    assert all(m.lacking == [] for found in asked for m in found)  # plans would only make the next ones late
+    core.handle(next(scan for scan in scans(sent) if scan.t == 3))
+    assert not [m for _ in range(6) for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint) and m.resend]
 
 
 def test_a_dwell_without_a_scan_takes_its_time() -> None:

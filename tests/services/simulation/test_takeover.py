@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cogradar.services.analysis.replay import replay
+from cogradar.services.analysis.replay import Replay, replay
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.delivery.pacing import COASTED_S
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.planner.owned_track import OwnedTrack
+from cogradar.services.planner.recall import RecallRequest
 from cogradar.services.recorder.overdue import MISSED, WITHIN_S
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
@@ -230,8 +231,55 @@ def test_plans_of_a_run_whose_waveforms_came_late_are_replayed(disk: Disk) -> No
     """Tracks begin in a scan that is not the next one after their birth."""
     _played(disk, RATE_HZ, lambda cluster: _slow_down(cluster, "allocator-0", 5.0))
     outcome = replay(StoredRun(partial(answer, Store(disk.journal))), "planner")
-    assert (outcome.difference, outcome.gap) == (None, None)
+    assert outcome == Replay(agreed=outcome.agreed)
     assert outcome.agreed > 100
+
+
+def _cut(reader: str) -> Callable[[Cluster], None]:
+    """Let nothing of the emulator get to some processes for a while, three times."""
+
+    def begin(cluster: Cluster) -> None:
+        for i, (after_s, long_s) in enumerate(((0.5, 0.7), (2.5, 1.5), (6.0, 3.0))):
+            fault = Fault(Kind.CUT, AT_S + after_s, AT_S + after_s + long_s, "emulator", reader, 1.0, i)
+            cluster.at(fault.at_s, partial(cluster.links.begin, fault))
+            cluster.at(fault.until_s, partial(cluster.links.end, fault))
+
+    return begin
+
+
+def _halt_all(cluster: Cluster) -> None:
+    for i, name in enumerate(NAMES):
+        cluster.at(AT_S + 0.4 * i, partial(_halt, cluster, name, 2.0))
+        cluster.at(AT_S + 5.0 + 0.3 * i, partial(_halt, cluster, name, 2.7))
+
+
+def _restart_planners_again(cluster: Cluster) -> None:
+    """So that tracks are taken over some dwells after their birth, and snapshots are old."""
+    for after_s in (0.5, 6.0):
+        for name in ("planner-0", "planner-1"):
+            cluster.at(AT_S + after_s, partial(_restart, cluster, name))
+
+
+@pytest.mark.parametrize("fault", [_restart_planners_again, _halt_all, _cut("planner-0"), _cut("recorder"), _cut("")])
+def test_every_plan_of_a_run_with_outages_is_replayed(disk: Disk, fault: Callable[[Cluster], None]) -> None:
+    """Scans that some process missed come again: no dwell is lost, and each belief had the scans of the journal."""
+    cluster = _played(disk, RATE_HZ, fault, seconds=18.0)
+    outcome = replay(StoredRun(partial(answer, Store(disk.journal))), "planner")
+    assert outcome == Replay(agreed=outcome.agreed, cut_short=outcome.cut_short)
+    stored = {(plan.target, plan.k) for said in cluster.plans.values() for _, _, plan in said}
+    assert outcome.agreed > max(100, 0.9 * len(stored))
+
+
+def test_plans_of_a_planner_that_went_without_scans_are_told_from_those_that_differ(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where no recall helps in time; dwells that no process has the scans of are none that differ."""
+    monkeypatch.setattr(RecallRequest, "may_ask", lambda *_: False)
+    _played(disk, RATE_HZ, _cut("planner-0"), seconds=18.0)
+    outcome = replay(StoredRun(partial(answer, Store(disk.journal))), "planner")
+    assert (outcome.difference, outcome.missing) == (None, 0)
+    assert outcome.other_scans > 0
+    assert outcome.agreed > 200
 
 
 def test_allocators_that_come_and_go_give_each_new_track_the_next_number(disk: Disk) -> None:

@@ -80,12 +80,12 @@ def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
 
 
 def test_keys() -> None:
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2), "1f3a") == "cogradar/9/1f3a/run/r.5/plan/0-15"
-    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r"), "1f3a") == "cogradar/9/1f3a/run/r/scan"
-    assert BY_MESSAGE[RunStart].key_of(sample(RunStart, run="r"), "1f3a") == "cogradar/9/run/r/start"
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r"), "1f3a", "0-7") == "cogradar/9/1f3a/run/r/plan/0-7"
-    assert BY_MESSAGE[Plan].pattern("1f3a") == "cogradar/9/1f3a/run/*/plan/*"
-    assert BY_MESSAGE[Plan].pattern("1f3a", slots="0-7") == "cogradar/9/1f3a/run/*/plan/0-7"
-    assert BY_MESSAGE[History].pattern("1f3a", to="p1") == "cogradar/9/1f3a/run/*/history/p1"
-    assert QUERY.format(metric="rmse") == "cogradar/9/query/rmse"
-    assert DWELL.key_of("roof") == "cogradar/9/front-end/roof/dwell"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2), "1f3a") == "cogradar/10/1f3a/run/r.5/plan/0-15"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r"), "1f3a") == "cogradar/10/1f3a/run/r/scan"
+    assert BY_MESSAGE[RunStart].key_of(sample(RunStart, run="r"), "1f3a") == "cogradar/10/run/r/start"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r"), "1f3a", "0-7") == "cogradar/10/1f3a/run/r/plan/0-7"
+    assert BY_MESSAGE[Plan].pattern("1f3a") == "cogradar/10/1f3a/run/*/plan/*"
+    assert BY_MESSAGE[Plan].pattern("1f3a", slots="0-7") == "cogradar/10/1f3a/run/*/plan/0-7"
+    assert BY_MESSAGE[History].pattern("1f3a", to="p1") == "cogradar/10/1f3a/run/*/history/p1"
+    assert QUERY.format(metric="rmse") == "cogradar/10/query/rmse"
+    assert DWELL.key_of("roof") == "cogradar/10/front-end/roof/dwell"
