@@ -153,7 +153,7 @@ def _without_scans(outcome: Replay, scan: Message, n: int) -> Replay:
 def _of_these_scans(
     outcome: Replay, recorded: Sequence[Message], inputs: Sequence[Message], answers: Sequence[Message], lost_k: int
 ) -> tuple[Replay, Sequence[Message]]:
-    """The outcome with the other recorded plans; and those of beliefs that had the scans of the journal.
+    """The outcome with the other plans counted, and the recorded plans whose beliefs had the scans of the journal.
 
     lost_k : newest dwell without a scan in the journal; a track that began before it may have begun in that scan
     """
