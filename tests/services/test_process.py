@@ -24,8 +24,8 @@ class FakeBus:
     def __init__(self, *_: Any) -> None:
         self.inbox, self.meter, self.closed = Inbox(), Meter(Role.METRICS), 0
         for _i in range(3):
-            self.inbox.open("cogradar/9/x/run/r/scan", b"noise")
-        self.inbox.open("cogradar/9/run/r/start", b"noise")
+            self.inbox.open("cogradar/10/x/run/r/scan", b"noise")
+        self.inbox.open("cogradar/10/run/r/start", b"noise")
 
     def is_connected(self) -> bool:
         """Nothing is missing."""
@@ -68,7 +68,7 @@ def test_a_service_says_at_its_end_what_it_dropped(
         except RuntimeError:
             assert crash
     sent = [record.getMessage() for record in caplog.records if record.name == "cogradar.services.process"]
-    assert sent == ["dropped 3 messages on cogradar/9/x/run/r/scan", "dropped 1 messages on cogradar/9/run/r/start"]
+    assert sent == ["dropped 3 messages on cogradar/10/x/run/r/scan", "dropped 1 messages on cogradar/10/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 
 

@@ -224,7 +224,7 @@ def test_in_real_time_a_track_whose_planner_is_late_is_looked_at_where_it_will_b
         assert isinstance(answer, Waveform)
         assert answer.k == k
         seen.append(answer)
-    assert all(sent.late.tolist() == [1] for sent in seen[1:-1])
+    assert [sent.late.tolist() for sent in seen[1:-1]] == [[k] for k in range(1, len(seen) - 1)]  # its age in dwells
     assert seen[-1].late.tolist() == []
     assert seen[-1].k == round(rate_hz * COASTED_S) + 1
 

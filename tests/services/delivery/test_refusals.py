@@ -111,5 +111,5 @@ def test_the_runner_drops_and_counts_what_a_core_refuses(caplog: pytest.LogCaptu
     for _ in range(3):
         other.publish(_plan(0, 16))
         assert step(core, bus, 0.0)
-    assert bus.inbox.bad == {"cogradar/9/local/run/r/plan/0-15": 3}
+    assert bus.inbox.bad == {"cogradar/10/local/run/r/plan/0-15": 3}
     assert [record.levelname for record in caplog.records] == ["WARNING"]

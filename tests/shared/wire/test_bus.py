@@ -26,7 +26,7 @@ from cogradar.shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
 SENT = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
-PLAN_KEY = "cogradar/9/local/run/run-1/plan/0-15"
+PLAN_KEY = "cogradar/10/local/run/run-1/plan/0-15"
 
 
 def drain(bus: LocalBus) -> list[object]:
@@ -87,7 +87,7 @@ def test_a_closed_endpoint_receives_nothing() -> None:
         (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
         (PLAN_KEY.replace("0-15", "2-15"), encode(plan(target=1)), "the message belongs on another key"),
         (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),
-        ("cogradar/9/local/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
+        ("cogradar/10/local/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
     ],
 )
 def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
@@ -97,14 +97,14 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
     with caplog.at_level(logging.WARNING):
         assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
         assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
-        assert inbox.open("cogradar/9/local/run/run-1/end", b"") == []
-    assert dict(inbox.bad) == {key: 3, "cogradar/9/local/run/run-1/end": 1}
+        assert inbox.open("cogradar/10/local/run/run-1/end", b"") == []
+    assert dict(inbox.bad) == {key: 3, "cogradar/10/local/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping messages on {key}, the first: {reason}")
-    assert second.startswith("dropping messages on cogradar/9/local/run/run-1/end")
+    assert second.startswith("dropping messages on cogradar/10/local/run/run-1/end")
 
 
-@pytest.mark.parametrize("key", ["", "cogradar/7", "cogradar/9/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
+@pytest.mark.parametrize("key", ["", "cogradar/7", "cogradar/10/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
 def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
     assert Inbox(LOCAL).open(key, encode(plan())) == []
 
@@ -112,10 +112,10 @@ def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
 def test_bad_messages_on_ever_new_keys_take_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
     inbox = Inbox(LOCAL)
     for i in range(5 * MAX_BAD_KEYS):
-        inbox.open(f"cogradar/9/local/run/{i}/scan", b"noise")
-    inbox.open("cogradar/9/local/run/0/scan", b"noise")
+        inbox.open(f"cogradar/10/local/run/{i}/scan", b"noise")
+    inbox.open("cogradar/10/local/run/0/scan", b"noise")
     assert len(inbox.bad) == MAX_BAD_KEYS + 1
-    assert (inbox.bad["cogradar/9/local/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
+    assert (inbox.bad["cogradar/10/local/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
     assert inbox.bad.total() == 5 * MAX_BAD_KEYS + 1
     assert len(caplog.records) == MAX_BAD_KEYS + 1
 
@@ -161,7 +161,7 @@ def test_what_it_says_of_its_own_arrives(slots: str, target: int) -> None:
     for message in (plan(target=target), sample(Snapshot, run="run-1", target=target), handover):
         assert inbox.open(BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message)) == [message]
     other = join([encode(plan(target=target)), encode(plan(target=target + 8))])  # in one lot with another's
-    assert len(inbox.open(f"cogradar/9/local/run/run-1/plan/{slots}", other)) == (2 if slots == "0-15" else 0)
+    assert len(inbox.open(f"cogradar/10/local/run/run-1/plan/{slots}", other)) == (2 if slots == "0-15" else 0)
 
 
 def test_a_bad_payload_does_not_hide_the_next_message() -> None:

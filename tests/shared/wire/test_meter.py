@@ -131,7 +131,7 @@ def test_confirmed_tracks_that_end_are_counted_once() -> None:
 
 def test_a_dropped_message_is_counted_by_the_topic_of_its_key() -> None:
     inbox = Inbox()
-    for key in ("cogradar/9/x/run/a/plan/3", "cogradar/9/y/run/b/plan/4", "cogradar/9/x/run/a/b/scan", "elsewhere"):
+    for key in ("cogradar/10/x/run/a/plan/3", "cogradar/10/y/run/b/plan/4", "cogradar/10/x/run/a/b/scan", "elsewhere"):
         inbox.drop(key, "bad")
     assert inbox.bad_of_topic == {"plan": 2, "other": 2}
     assert {kind: topic_of(BY_MESSAGE[kind].key_of(sample(kind), "x")) for kind in FIELDS} == {

@@ -59,9 +59,9 @@ def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytes
         bus.publish(plan(k))
     assert all(step(core, bus, 0.0) for _ in range(4))
     assert core.handled == [plan(k) for k in range(4)]
-    assert dict(bus.inbox.bad) == {"cogradar/9/local/run/run-1/plan/0-15": 2}
+    assert dict(bus.inbox.bad) == {"cogradar/10/local/run/run-1/plan/0-15": 2}
     assert [record.getMessage() for record in caplog.records] == [
-        "dropping messages on cogradar/9/local/run/run-1/plan/0-15, the first: run-1: k = 1: odd"
+        "dropping messages on cogradar/10/local/run/run-1/plan/0-15, the first: run-1: k = 1: odd"
     ]
 
 

@@ -78,7 +78,7 @@ def test_samples_and_answers_say_how_they_are_encoded_and_no_reader_asks(connect
         for topic in TOPICS:
             senders[topic.producer].publish(sample(topic.message))
             got = next(one for one in heard if str(one.key_expr) != "cogradar/heard")
-            assert str(got.encoding) == f"application/msgpack;schema=urn:cogradar:9:{topic.name}"
+            assert str(got.encoding) == f"application/msgpack;schema=urn:cogradar:10:{topic.name}"
         read = [topic for topic in TOPICS if Role.RECORDER in topic.readers]
         assert len(_received(reader, len(read))) == len(read)
         for lie in zenoh.Encoding("application/json"), zenoh.Encoding("\u2028;" * 50), None:

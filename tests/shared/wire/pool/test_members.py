@@ -66,7 +66,7 @@ def test_shards_are_shared_and_taken_over(start: Callable[..., _Process]) -> Non
     assert other_build.pool.held == ALL_SHARDS
     second = start("a")  # a name is no identity
     _share([first, second], 8, 8)
-    assert first.pool.serves("cogradar/9/1f3a/run/r/scan") is (shard_of("r") in first.pool.held)
+    assert first.pool.serves("cogradar/10/1f3a/run/r/scan") is (shard_of("r") in first.pool.held)
     first.session.close()  # as when it is killed
     _share([second], 16)
 

@@ -116,8 +116,8 @@ def test_a_run_has_a_shard_and_shards_have_about_as_many_runs() -> None:
     shards = [shard_of(f"run-{i}") for i in range(1600)]
     assert (shard_of("run-0"), shard_of("run-1")) == (5, 3)  # of all programs, whatever their language
     assert all(60 < shards.count(shard) < 140 for shard in ALL_SHARDS)
-    assert run_on("cogradar/9/1f3a/run/a/checkpoint/emulator") == "a"
-    assert run_on("cogradar/9/query/runs") == ""
+    assert run_on("cogradar/10/1f3a/run/a/checkpoint/emulator") == "a"
+    assert run_on("cogradar/10/query/runs") == ""
 
 
 def test_one_serves_all_as_soon_as_others_would_be_seen() -> None:
