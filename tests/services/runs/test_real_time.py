@@ -176,7 +176,7 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     dwells = 4  # from dwell 0, which the estimate is of, to dwell 4, which waveform 3 lights up
     there = state + SMOKE.radar.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
     bin_ = int(angle_bin(spatial_frequency(there), n))
-    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [[3], [bin_]], [0, 1])
+    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [[3], [bin_]], [0, 3])
     assert bin_ != int(angle_bin(spatial_frequency(state), n))
     range_km = float(np.hypot(there[0], there[2]))
     other = _allocator()
@@ -197,7 +197,7 @@ def test_without_any_plan_a_waveform_is_said_one_and_a_half_periods_after_the_la
     core.handle(Tick(20.0))
     (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
-    assert (answer.k, answer.late.tolist()) == (2, [1, 1])
+    assert (answer.k, answer.late.tolist()) == (2, [2, 2])
 
 
 def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
