@@ -29,6 +29,8 @@ PARTS = {
     "range cells": "beyond-sweep-fidelity-1",
     "urgency, too little power": "beyond-sweep-starved-1",
 }
+KILLS = "reliability-kills"
+_OF_SPANS = {"killed": "#D55E00", "track": "#0072B2", "coast": "#E69F00", "missed": "#DDDDDD"}
 POLICIES, SCALE = "decisions-sweep-policies-1", "scaling-scale-1"
 SPENT = ("emulator", "planner", "allocator", "queues", "transport")  # columns of SCALE
 _OF_PARTS = dict(zip(SPENT, ("#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999"), strict=True))
@@ -109,6 +111,38 @@ def dwell() -> Figure:
     return figure
 
 
+def kills() -> Figure:
+    """A run in real time whose processes are killed: when, and which tracks had no plan."""
+    found = [row for row in rows(KILLS) if row["seed"] == "1"]
+    roles = sorted({row["of"].rpartition("-")[0] for row in found if row["what"] == "killed"})
+    tracks = [row["of"] for row in found if row["what"] == "track"]
+    figure = Figure(figsize=(7.2, 0.9 + 0.17 * (len(roles) + len(tracks))), layout="constrained")
+    axes = figure.subplots()
+    for row in found:
+        first, last = float(row["first dwell"]), float(row["last dwell"])
+        if row["what"] == "killed":
+            y = len(tracks) + roles.index(row["of"].rpartition("-")[0])
+            axes.plot(first, y, "x", color=_OF_SPANS["killed"], markersize=5)
+            axes.axvline(first, color=FAINT, linewidth=0.4, zorder=0)
+        elif row["what"] == "missed":
+            axes.axvspan(first - 0.5, last + 0.5, color=_OF_SPANS["missed"], linewidth=0, zorder=0)
+        else:
+            width = 3.0 if row["what"] == "track" else 6.0
+            y = tracks.index(row["of"])
+            axes.hlines(y, first - 0.5, last + 0.5, color=_OF_SPANS[row["what"]], linewidth=width)
+    axes.set_yticks(range(len(tracks) + len(roles)), [*(f"track {track}" for track in tracks), *roles], size=6.5)
+    axes.grid(visible=False)
+    axes.set_xlabel("dwell $k$")
+    handles = [
+        Line2D([], [], color=_OF_SPANS["killed"], marker="x", linestyle="none", label="process killed"),
+        Line2D([], [], color=_OF_SPANS["track"], linewidth=3.0, label="track"),
+        Line2D([], [], color=_OF_SPANS["coast"], linewidth=6.0, label="track without a plan"),
+        Line2D([], [], color=_OF_SPANS["missed"], linewidth=6.0, label="no dwell"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
 class Drawing(NamedTuple):
     """A figure of a page, and the tables that it shows."""
 
@@ -128,6 +162,7 @@ class Drawing(NamedTuple):
 DRAWINGS = {
     "rules": Drawing("decisions.md", rules, (POLICIES,)),
     "parts": Drawing("beyond.md", parts, tuple(PARTS.values())),
+    "kills": Drawing("reliability.md", kills, (KILLS,)),
     "dwell": Drawing("scaling.md", dwell, (SCALE,)),
 }
 

@@ -69,7 +69,8 @@ PROOFS = (
         "kills-of-two-planners",
         "So it is with two planners.",
         "480 dwells at 4 a second, 16 kills a minute",
-        "cogradar chaos traffic --pace realtime --rate 4 --runs 1 --dwells 480 --kills 16 --planners 2",
+        "cogradar chaos traffic --pace realtime --rate 4 --runs 1 --dwells 480 --kills 16 --planners 2"
+        " --out docs/tables/reliability-kills.csv",
     ),
     Proof(
         "kills-of-three-planners",

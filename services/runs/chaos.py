@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
@@ -122,11 +124,12 @@ def trial_in_real_time(
     Raises RunFailed if the run does not come to its end, Interrupted if `stop` is set meanwhile.
     """
     alone = in_process.play(start.model_copy(update={"rate_hz": 0.0}), stop=stop)
-    chaos, zeros_s = Chaos(rate, start.seed), list[float]()
+    chaos, at_s, dwells = Chaos(rate, start.seed), [time.monotonic()], [0]
 
     def note(reached: Progress) -> None:
-        if reached.k is not None:
-            zeros_s.append(time.monotonic() - reached.k / start.rate_hz)
+        if reached.k is not None and reached.k > dwells[-1]:
+            at_s.append(time.monotonic())
+            dwells.append(reached.k)
         report(reached)
 
     with scratch() as folder:
@@ -135,9 +138,8 @@ def trial_in_real_time(
         played = distributed.play(start, given, report=note, notify=lambda _: None, stop=stop)
         with closing(Journal(path, read_only=True)) as journal:
             found = continuity(journal, start, played.picture.get("completeness"))
-    # A report comes at its dwell or later: the earliest of them tells best when dwell 0 was.
-    zero_s = min(zeros_s, default=0.0)
-    killed_at = [(killed_s - zero_s) * start.rate_hz for killed_s in chaos.killed_s]
+    # No straight line: the clock of the dwells stands still while an emulator is away.
+    killed_at = np.interp(chaos.killed_s, at_s, dwells).tolist()
     return RealTimeTrial(start.seed, chaos.victims, killed_at, found, alone.picture.get("completeness"))
 
 
