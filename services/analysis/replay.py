@@ -194,7 +194,7 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
             f"{outcome.late} waveforms were not compared: their plans, or the waveforms before them, were late"
         )
     if outcome.missing:
-        skipped = f", {outcome.skipped} of which never happened" if outcome.skipped else ""
+        skipped = f", {outcome.skipped} never happened" if outcome.skipped else ""
         notes.append(f"{outcome.missing} dwells have no scan{skipped}: tracks coasted over them")
     if outcome.other_scans:
         notes.append(f"{outcome.other_scans} plans were not compared: their planner had other scans than the journal")

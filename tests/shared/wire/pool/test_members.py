@@ -138,34 +138,29 @@ def test_what_no_program_shows_is_not_heeded(start: Callable[..., _Process]) -> 
     _share([process, other], 8, 8)
 
 
-def test_computing_is_no_pause(start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch) -> None:
-    process, clocks = start("a"), {"up": 1e6, "cpu": 0.0}
-    monkeypatch.setattr(process.tokens, "now_s", lambda: clocks["up"])
-    monkeypatch.setattr(process.tokens, "cpu_s", lambda: clocks["cpu"])
-    monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
-    process.pool._looked_s, process.pool._cpu_s = clocks["up"], clocks["cpu"]
-    paused = []
-    for up, cpu in ((5.0, 4.5), (0.2, 0.0), (5.0, 3.5)):
-        process.pool._decide(clocks["up"])
-        clocks["up"], clocks["cpu"] = clocks["up"] + up, clocks["cpu"] + cpu
-        paused.append(process.pool.has_paused())
-    assert paused == [False, False, True]
-
-
-def test_what_was_computed_before_a_look_hides_no_freeze_after_it(
-    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("gaps", "paused"),
+    [
+        (((5.0, 4.5), (0.2, 0.0), (5.0, 3.5)), [False, False, True]),
+        (((5.0, 5.0), (4.0, 0.0)), [False, True]),  # what was computed before a look hides no freeze after it
+    ],
+)
+def test_computing_is_no_pause(
+    gaps: tuple[tuple[float, float], ...],
+    paused: list[bool],
+    start: Callable[..., _Process],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A process looks after each event, and decides more seldom."""
     process, clocks = start("a"), {"up": 1e6, "cpu": 0.0}
     monkeypatch.setattr(process.tokens, "now_s", lambda: clocks["up"])
     monkeypatch.setattr(process.tokens, "cpu_s", lambda: clocks["cpu"])
     monkeypatch.setattr(process.pool, "_is_missed", lambda: True)
     process.pool._looked_s, process.pool._cpu_s = clocks["up"], clocks["cpu"]
-    paused = []
-    for up, cpu in ((5.0, 5.0), (4.0, 0.0)):
+    found = []
+    for up, cpu in gaps:
         clocks["up"], clocks["cpu"] = clocks["up"] + up, clocks["cpu"] + cpu
-        paused.append(process.pool.has_paused())
-    assert paused == [False, True]
+        found.append(process.pool.has_paused())
+    assert found == paused
 
 
 def test_an_answer_without_own_tokens_is_asked_for_again(
