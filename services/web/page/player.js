@@ -50,8 +50,8 @@ export class Player {
         this.stop(this.isRunning ? "live" : "paused");
         return;
       }
+      this.frame = requestAnimationFrame(step); // first: what is shown may pause it
       if (Math.floor(this.at) !== this.t) this.go(Math.floor(this.at));
-      this.frame = requestAnimationFrame(step);
     };
     this.frame = requestAnimationFrame(step);
   }

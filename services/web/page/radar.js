@@ -32,7 +32,10 @@ export class Radar {
       show({ target: target === view.target ? null : target });
     });
     for (const kind of ["down", "move", "up"]) byId("scope").addEventListener(`pointer${kind}`, (event) => this.point(event, kind));
-    byId("scope").addEventListener("pointerleave", () => put(byId("pointer"), ""));
+    byId("scope").addEventListener("pointerleave", () => {
+      this.under = null;
+      put(byId("pointer"), "");
+    });
     new ResizeObserver(() => this.redraw()).observe(byId("scope"));
     onTheme(() => {
       this.legend();
@@ -101,6 +104,7 @@ export class Radar {
     if (isList && dwell) this.detail(picture);
     if (isList) return;
     this.scope.draw(picture);
+    this.readOut();
     if (!dwell) return;
     says.empty(null);
     put(byId("dwell"), String(dwell.t));
@@ -141,7 +145,15 @@ export class Radar {
     if (kind === "down" && isForCommand) byId("scope").setPointerCapture(pointerId); // a sector may be left beside the scope
     if (kind === "up") this.isForCommand = isForCommand; // and not to choose a target
     if (!place || kind !== "move") return;
-    const one = this.dwell?.targets.find((found) => found.target === this.scope.at(offsetX, offsetY));
+    this.under = [offsetX, offsetY];
+    this.readOut();
+  }
+
+  // The picture may move under a pointer that rests.
+  readOut() {
+    const place = this.under && this.radar && this.scope.placeAt(...this.under);
+    if (!place) return;
+    const one = this.dwell?.targets.find((found) => found.target === this.scope.at(...this.under));
     const [speed, heading] = one ? [speedOf(one), headingOf(one)] : [null, null];
     const flies = speed === null ? "" : `; ${one.target}: ${fixed(speed, 0)} m/s, heading ${fixed(degrees(heading, this.radar), 0)}°`;
     put(byId("pointer"), `${fixed(place.range)} km, ${fixed(degrees(place.angle, this.radar))}°${flies}`);
