@@ -72,7 +72,7 @@ class OwnedTrack:
         self.planned = -1  # dwell of the last plan
         self._model, self._pacing = model, pacing
         self._prediction: Prediction | None = None
-        self._prepared: TrackState | None = None  # of which there is one, or none can be
+        self._prepared: TrackState | None = None  # state whose prediction was made, or cannot be made
         self._pending: tuple[TrackState, tuple[int, ...]] | None = None  # to be sent as a snapshot
 
     @property

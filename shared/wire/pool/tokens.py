@@ -22,7 +22,7 @@ class ZenohTokens:
     """Liveliness tokens: `Tokens` of `members`. What arrives is noted by threads of the transport."""
 
     def __init__(self, session: zenoh.Session, role: Role, name: str, build: str) -> None:
-        """The tokens of the processes of this role and build, one of which has this name."""
+        """The tokens of all processes of a role and build; `name` is this process."""
         self.arrived: deque[tuple[Token, bool]] = deque()
         self.answers: deque[tuple[float, set[Token]]] = deque(maxlen=1)
         self.n_lost = 0
