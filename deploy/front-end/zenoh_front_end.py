@@ -14,6 +14,8 @@ import logging
 import secrets
 import struct
 import threading
+import traceback
+from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -47,6 +49,13 @@ def _array(value):
 def _unpacked(_code, data):
     shape = struct.unpack_from(f"<{data[2]}I", data, 3)
     return np.frombuffer(data, DTYPES[data[:2]], offset=3 + 4 * len(shape)).reshape(shape)
+
+
+def place_of(error):
+    """Where an exception comes from, FILE:LINE: in what was written for this front end, not in a library of it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "site-packages" not in frame.filename] or frames
+    return f"{Path(own[-1].filename).name}:{own[-1].lineno}"
 
 
 class World:
@@ -102,9 +111,9 @@ class FrontEnd:
             with query:  # the radar waits until the query is dropped
                 try:
                     answer(query, unpack(query.payload.to_bytes()))
-                # The radar says it, and opens this front end again.
-                except (LookupError, TypeError, ValueError, zenoh.ZError) as error:
-                    query.reply_err(f"{type(error).__name__}: {error}".encode())
+                except Exception as error:  # the radar says it, and opens this front end again
+                    logging.exception("not answered")
+                    query.reply_err(f"{place_of(error)}: {type(error).__name__}: {error}".encode())
 
         return on_query
 

@@ -113,6 +113,27 @@ def test_the_world_of_paper_refuses_a_radar_that_is_not_its_own() -> None:
         in_process.play(start, front_end=f"zenoh:roof@{endpoint}")
 
 
+def test_an_exception_of_a_front_end_reaches_the_run_with_file_and_line(tmp_path: Path) -> None:
+    endpoint, world = f"tcp/127.0.0.1:{free_port()}", tmp_path / "mine.py"
+    lines = [
+        "import sys",
+        f"sys.path.insert(0, {str(EXAMPLES)!r})",
+        "from zenoh_front_end import World, serve",
+        "class Mine(World):",
+        "    def receive(self, dwell):",
+        "        return super().receive(dwell) / (1 // 0)",
+        "serve(Mine)",
+    ]
+    world.write_text("\n".join(lines))
+    start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 5)
+    start = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    with (
+        _front_end(endpoint, example=str(world)),
+        pytest.raises(RunFailed, match=r"roof: mine\.py:6: ZeroDivisionError: integer .* by zero"),
+    ):
+        in_process.play(start, front_end=f"zenoh:roof@{endpoint}")
+
+
 @pytest.mark.slow
 @pytest.mark.zenoh
 @pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.nightly)])
