@@ -297,7 +297,8 @@ class ProcessRow(Document):
 
     role: Role
     name: str = Field(description="Empty: this role has no process.")
-    alive: bool = Field(description="Whether it answers.")
+    alive: bool = Field(description="Whether it is there: it shows itself alive, or did half a second ago.")
+    answers: bool = Field(description="Whether it answered within two seconds; else all numbers are null.")
     dwells_per_s: float | None
     dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
     dwell_p99_ms: float | None

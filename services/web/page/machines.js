@@ -10,7 +10,7 @@ const KEPT = 30; // moves to be read
 const pair = (a, b, digits = 1) => (a === null && b === null ? "–" : `${fixed(a, digits)} · ${fixed(b, digits)}`);
 const COLUMNS = [
   ["Process", null, (p) => p.name || `no ${p.role}`],
-  ["State", null, (p) => (p.full ? "● cannot write, runs held" : p.alive ? "● up" : p.name ? "○ gone" : "○ not running")],
+  ["State", null, (p) => stateOf(p)],
   ["Dwells", "per s", (p) => fixed(p.dwells_per_s)],
   ["Whole dwell", "ms, p50 · p99", (p) => pair(p.dwell_p50_ms, p.dwell_p99_ms)],
   ["Own work", "ms, p50 · p99", (p) => pair(p.handling_p50_ms, p.handling_p99_ms)],
@@ -22,6 +22,11 @@ const COLUMNS = [
   ["CPU", "s", (p) => short(p.cpu_seconds)],
   ["Memory", "MiB", (p) => bytes(p.rss_bytes)],
 ];
+function stateOf(process) {
+  if (!process.alive) return process.name ? "○ gone" : "○ not running";
+  if (!process.answers) return "● up, too busy to answer";
+  return process.full ? "● cannot write, runs held" : "● up";
+}
 const keyOf = (process) => `${process.role}/${process.name}`; // of a role without a process: without a name
 const count = (value) => (value === null || value === undefined ? "–" : String(Math.round(value)));
 
@@ -83,7 +88,7 @@ export class Machines {
     for (const [key, one] of this.seen) {
       if (here.has(key)) continue;
       if (one.process.alive) this.say(`${one.process.name} is gone`, true);
-      one.process.alive = false;
+      Object.assign(one.process, { alive: false, answers: false });
       if (!one.process.name || now - one.since > 5 * MARKED_MS) this.seen.delete(key);
     }
   }
@@ -101,7 +106,7 @@ export class Machines {
           if (!j) cell.scope = "row";
           row.append(cell);
         }
-        put(cell, process.alive || j < 2 ? text(process) : "–");
+        put(cell, process.answers || j < 2 ? text(process) : "–");
       });
     });
   }

@@ -69,7 +69,7 @@ class Machines:
         self._core = core
         self._shared = Shared(FOR_S, CapacityLimiter(1))
         self._readings: deque[_Reading] = deque()
-        self._planners = LiveNames()  # as the planners know each other
+        self._live = LiveNames()  # role and name of all, as the planners know each other
 
     async def answer(self) -> bytes:
         """All of it as JSON."""
@@ -84,30 +84,39 @@ class Machines:
             self._readings.popleft()
         before = self._readings[0] if self._readings and self._readings[0].at_s > now.at_s - 2 * WINDOW_S else None
         self._readings.append(now)
+        live = self._there(gathered, now.at_s)
         rows = [_row(process, now, before) for process in now.counts]
-        rows += [_silent(process) for process in gathered.silent]
+        rows += [_without_numbers(process) for process in live - now.counts.keys()]
+        missing = {role for role, name in gathered.silent if not name} - {role for role, _ in live}
+        rows += [_without_numbers((role, "")) for role in missing]
         document = {
             "window_s": None if before is None else now.at_s - before.at_s,
             "processes": sorted(rows, key=lambda row: (list(Role).index(row["role"]), row["name"])),
-            "owners": self._owners(gathered, now.at_s),
+            "owners": self._owners(tuple(sorted(name for role, name in live if role == Role.PLANNER))),
         }
         return to_json(document, inf_nan_mode="null")
 
-    def _owners(self, gathered: Gathered, now_s: float) -> dict[str, dict[int, str]]:
+    def _there(self, gathered: Gathered, now_s: float) -> set[Process]:
+        """Processes that are there: they answer, or their tokens are there, or were a moment ago.
+
+        A process that computes may be too busy to answer; a thread of its own keeps its token alive. A token is missed
+        for a moment where the link, or this process, has a hiccup: the rule is the one of the planners.
+        """
+        present = {f"{role}/{name}" for role, name in gathered.answers.keys() | gathered.silent if name}
+        for name in present:
+            self._live.appear(name)
+        for name in set(self._live.names) - present - self._live.absent.keys():
+            self._live.disappear(name, now_s)
+        self._live.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
+        return {(role, name) for role, _, name in (one.partition("/") for one in self._live.names)}
+
+    def _owners(self, planners: tuple[str, ...]) -> dict[str, dict[int, str]]:
         """Planner of each track, counted from 1, of each run that goes on.
 
         It is what the planners work out themselves, from the live planners.
         """
-        processes = gathered.answers.keys() | gathered.silent
-        present = {name for role, name in processes if role == Role.PLANNER and name}
-        for name in present:
-            self._planners.appear(name)
-        for name in set(self._planners.names) - present - self._planners.absent.keys():
-            self._planners.disappear(name, now_s)
-        self._planners.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
-        names = self._planners.names
         runs = running(self._core.store, MAX_RUNS)
-        return {row["run"]: _of_run(row, names) if names else {} for row in runs}
+        return {row["run"]: _of_run(row, planners) if planners else {} for row in runs}
 
 
 def _of_run(row: dict[str, Any], names: tuple[str, ...]) -> dict[int, str]:
@@ -126,9 +135,10 @@ def _owners(run: str, n_track: int, names: tuple[str, ...]) -> list[str]:
     return owners(run, n_track, names)
 
 
-def _silent(process: Process) -> dict[str, Any]:
-    role, name = process
-    return _row((role, name), _Reading(0.0, {process: {}}), None) | {"alive": False}
+def _without_numbers(process: Process) -> dict[str, Any]:
+    """Of a process that did not answer, or of a role without one."""
+    _, name = process
+    return _row(process, _Reading(0.0, {process: {}}), None) | {"alive": bool(name), "answers": False}
 
 
 def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, Any]:
@@ -145,6 +155,7 @@ def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, 
         "role": role,
         "name": name,
         "alive": True,
+        "answers": True,
         "dwells_per_s": None if n_dwell is None or before is None else n_dwell / (now.at_s - before.at_s),
         **_percentiles("dwell", recent, "cogradar_dwell_seconds", "", (0.5, 0.99)),
         "handling_of": busiest,

@@ -80,6 +80,39 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     assert json.loads(machines._read())["owners"] == {"begun": _numbered(["a", "a"])}
 
 
+def test_a_process_that_is_too_busy_to_answer_is_there_and_is_gone_once_its_token_is(
+    core: MetricsCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a high load an answer may take longer than two seconds, and a token may be missed for a moment."""
+    now = [1000.0]
+    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    answer = read(Exposition(_Process().measures).text())
+    router, busy = (Role.ROUTER, "router"), (Role.ALLOCATOR, "busy")
+    gathered = [Gathered({router: answer, busy: answer}, set())]
+    monkeypatch.setattr(core, "gather", lambda: gathered[0])
+    machines = Machines(core)
+
+    def shown() -> dict[str, tuple[bool, bool, float | None]]:
+        now[0] += 0.3
+        rows = json.loads(machines._read())["processes"]
+        return {row["name"]: (row["alive"], row["answers"], row["dwells_per_s"]) for row in rows}
+
+    up = shown()
+    assert (up["router"], up["busy"]) == ((True, True, None), (True, True, None))
+    gathered[0] = Gathered({router: answer}, {busy})
+    assert shown()["busy"] == (True, False, None)
+    gathered[0] = Gathered({router: answer}, {(Role.ALLOCATOR, "")})  # neither an answer nor a token
+    assert shown()["busy"] == (True, False, None)
+    gathered[0] = Gathered({}, {(role, "") for role in Role})  # it was this process that heard nothing
+    now[0] += 1.0
+    assert shown()["busy"] == (True, False, None)
+    gathered[0] = Gathered({router: answer}, {(Role.ALLOCATOR, "")})
+    now[0] += 4.0
+    gone = shown()
+    assert "busy" not in gone
+    assert gone[""] == (False, False, None)
+
+
 def _numbered(names: list[str]) -> dict[str, str]:
     """By track."""
     return {str(track): name for track, name in enumerate(names, 1)}
