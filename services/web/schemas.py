@@ -290,9 +290,9 @@ class CommandDocument(Document):
 class ProcessRow(Document):
     """A process.
 
-    Times are over the last seconds, from the buckets of histograms: `dwell` and `margin` are within a quarter,
-    `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts are since
-    the process began.
+    Times are over the last seconds, from the buckets of histograms: `dwell`, `margin` and `front_end` are within a
+    quarter, `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
+    are since the process began.
     """
 
     role: Role
@@ -307,6 +307,8 @@ class ProcessRow(Document):
     handling_p99_ms: float | None
     margin_p50_ms: float | None = Field(description="In real time: from a waveform's arrival to its transmission.")
     margin_p99_ms: float | None = Field(description="99 % of the dwells that were in time have at least this margin.")
+    front_end_p50_ms: float | None = Field(description="In real time: from a transmission to its scan.")
+    front_end_p99_ms: float | None
     late: float | None = Field(description="Plans that were late, and extrapolated.")
     stale: float | None = Field(description="Dwells with an older waveform.")
     redelivered: float | None

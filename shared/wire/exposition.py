@@ -48,6 +48,11 @@ METRICS = {
         "In real time: from a waveform's arrival to its transmission, if it was there in time.",
         roles="emulator",
     ),
+    "scan_seconds": Meaning(
+        HistogramMetricFamily,
+        "In real time: from a transmission to its scan, which is what the front end takes.",
+        roles="emulator",
+    ),
     "waveforms_stale": Meaning(
         CounterMetricFamily, "In real time: dwells transmitted with an older waveform.", roles="emulator"
     ),

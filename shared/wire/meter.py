@@ -155,6 +155,7 @@ class _Transmitted(_Dwells):
         self._waveforms: dict[str, tuple[int, float]] = {}  # the newest of a run: its dwell, and when it came
         self._scans: dict[str, tuple[int, float]] = {}  # ... and the dwell that was transmitted last
         self._duration, self._margin, self._n_stale = Durations(FINE_EDGES_S), Durations(FINE_EDGES_S), 0
+        self._measuring = Durations(FINE_EDGES_S)
 
     def take(self, message: Message, arrived_s: float) -> None:
         if type(message) is Waveform:
@@ -173,6 +174,7 @@ class _Transmitted(_Dwells):
             self._duration.observe(begun_s - last_s)
         _keep(self._scans, message.run, (message.k, begun_s))
         if message.t > 0 and self._is_real_time.get(message.run, False):
+            self._measuring.observe(time.monotonic() - begun_s)
             waveform_k, arrived_s = self._waveforms.get(message.run, (-1, 0.0))
             if waveform_k == message.k - 1:
                 self._margin.observe(begun_s - arrived_s)
@@ -183,6 +185,7 @@ class _Transmitted(_Dwells):
         return {
             "dwell_seconds": self._duration,
             "deadline_margin_seconds": self._margin,
+            "scan_seconds": self._measuring,
             "waveforms_stale": self._n_stale,
         }
 

@@ -15,6 +15,7 @@ const COLUMNS = [
   ["Whole dwell", "ms, p50 · p99", (p) => pair(p.dwell_p50_ms, p.dwell_p99_ms)],
   ["Own work", "ms, p50 · p99", (p) => pair(p.handling_p50_ms, p.handling_p99_ms)],
   ["Margin to deadline", "ms, p50 · p99", (p) => pair(p.margin_p50_ms, p.margin_p99_ms)],
+  ["Front end", "ms, p50 · p99", (p) => pair(p.front_end_p50_ms, p.front_end_p99_ms)],
   ["Late", null, (p) => count(p.late)],
   ["Stale", null, (p) => count(p.stale)],
   ["Sent again", null, (p) => count(p.redelivered)],

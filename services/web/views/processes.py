@@ -161,6 +161,7 @@ def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, 
         "handling_of": busiest,
         **_percentiles("handling", recent, "cogradar_handling_seconds", busiest or "", (0.5, 0.99)),
         **_percentiles("margin", recent, "cogradar_deadline_margin_seconds", "", (0.5, 0.01)),
+        **_percentiles("front_end", recent, "cogradar_scan_seconds", "", (0.5, 0.99)),
         **{name: _total(counted, sample) for name, sample in _TOTALS.items()},
     }
 

@@ -21,9 +21,20 @@ class Case(NamedTuple):
     says: str
 
 
+LATE = "cogradar_plans_late_total"
 PLANS = 'cogradar_messages_sent_total{role="planner",process="p",topic="plan"}'
 SCANS = 'cogradar_messages_sent_total{role="emulator",process="e",topic="scan"}'
 ASKED = "cogradar_looks_asked_total"
+
+
+def _front_end(seconds: float) -> dict[str, str]:
+    """Of ten dwells of 0.2 s every five seconds: all scans come after so long."""
+    buckets = {edge: "0+10x60" if seconds <= edge else "0x60" for edge in (0.02, 0.1, 0.16, 0.2)}
+    scans = {f'cogradar_scan_seconds_bucket{{le="{edge}"}}': values for edge, values in buckets.items()}
+    scans['cogradar_scan_seconds_bucket{le="+Inf"}'] = "0+10x60"
+    return scans | {"cogradar_dwell_seconds_sum": "0+2x60", "cogradar_dwell_seconds_count": "0+10x60"}
+
+
 CASES = {
     "CogradarDown": Case({'up{job="cogradar"}': "1x6 0x54"}, 35, 90, "nothing is known of the radar"),
     "CogradarNoFrontEnd": Case({'cogradar_up{role="emulator"}': "1x6 0x54"}, 35, 90, "No front end"),
@@ -43,7 +54,10 @@ CASES = {
     "CogradarTargetsMissed": Case({"cogradar_targets_missed": "1x6 0x3 3x51"}, 100, 120, "3 targets"),
     "CogradarTracksEnd": Case({"cogradar_tracks_ended_total": "0x12 0+1x48"}, 90, 240, "ended within five minutes"),
     "CogradarLatePlans": Case(
-        {PLANS: "0+30x60", "cogradar_plans_late_total": "0x12 0+3x48"}, 65, 200, "More than one plan in twenty"
+        {PLANS: "0+30x60", LATE: "0x12 0+3x48", **_front_end(0.02)}, 65, 200, "and the front end is fast"
+    ),
+    "CogradarSlowFrontEnd": Case(
+        {PLANS: "0+30x60", LATE: "0x12 0+3x48", **_front_end(0.16)}, 65, 200, "as the front end takes 1"
     ),
     "CogradarStaleWaveforms": Case(
         {SCANS: "0+30x60", "cogradar_waveforms_stale_total": "0x12 0+3x48"}, 65, 200, "older waveform"
@@ -62,6 +76,11 @@ def test_it_rings_when_it_should(name: str, tmp_path: Path) -> None:
     case = CASES[name]
     assert _ringing(name, case, case.quiet_s, tmp_path) == ""
     assert case.says in _ringing(name, case, case.rings_s, tmp_path)
+
+
+def test_plans_that_are_late_for_the_front_end_are_not_the_planners(tmp_path: Path) -> None:
+    slow = CASES["CogradarSlowFrontEnd"]
+    assert _ringing("CogradarLatePlans", slow, slow.rings_s, tmp_path) == ""
 
 
 def _ringing(name: str, case: Case, at_s: int, folder: Path) -> str:

@@ -89,6 +89,7 @@ def test_in_real_time_a_waveform_is_early_or_missing(
 ) -> None:
     meter = emulated(rate_hz, at_s=1.0, monkeypatch=monkeypatch)
     meter.take(of_dwell(Waveform, 3), 0.8)
+    set_clock(lambda: 1.03, monkeypatch)  # the front end takes so long
     meter.send(of_dwell(Scan, 4, t=1), N_BYTE)
     meter.send(of_dwell(Scan, 4, t=1), N_BYTE)  # again
     set_clock(lambda: 1.1, monkeypatch)
@@ -96,11 +97,14 @@ def test_in_real_time_a_waveform_is_early_or_missing(
     meter.send(of_dwell(Scan, 5, t=2), N_BYTE)
     measures = meter.measures()
     margin, duration = measures["deadline_margin_seconds"], measures["dwell_seconds"]
+    measuring = measures["scan_seconds"]
+    assert isinstance(measuring, Durations)
     assert isinstance(margin, Durations)
     assert isinstance(duration, Durations)
     assert (measures["waveforms_stale"], sum(margin.counts)) == (stale, in_time)
     assert margin.sum_s == pytest.approx(0.2 * in_time)
     assert duration.sum_s == pytest.approx(0.1)
+    assert measuring.sum_s == pytest.approx(0.03 if rate_hz else 0.0)
 
 
 def test_late_plans_and_acknowledged_dwells_are_counted() -> None:

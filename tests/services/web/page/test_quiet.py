@@ -1,6 +1,8 @@
 """The page over runs of which nothing more comes: what it shows at once, of a search, and while it hears nothing."""
 
 import re
+from collections.abc import Callable
+from functools import partial
 
 import httpx
 import pytest
@@ -154,6 +156,22 @@ def test_a_run_that_stands_still_says_who_is_missing(quiet: str, show: Open) -> 
     expect(page.locator("#notice")).to_be_hidden()
 
 
+def _with_a_front_end(page: Page, took_ms: float, change: Callable[[Route], None]) -> None:
+    """A run of five dwells a second, whose scans come after so long."""
+
+    def answered(route: Route) -> None:
+        answer = route.fetch()
+        document = answer.json()
+        document.update({"rate_hz": 5.0} if "rate_hz" in document else {})
+        for row in document.get("processes", ())[:1]:
+            row["front_end_p99_ms"] = took_ms
+        route.fulfill(response=answer, json=document)
+
+    page.route("**/dwells?*", change)
+    page.route("**/radar", answered)
+    page.route("**/processes", answered)
+
+
 def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
     def change(route: Route) -> None:
         answer = route.fetch()
@@ -171,6 +189,12 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
     )
     expect(page.locator("#legend")).to_contain_text("blind cell")
     expect(page.locator("#legend")).to_contain_text("cell not measured")
+    for took, why in (
+        (150.0, ", for the front end takes up to 150 ms of a dwell of 200 ms; "),
+        (8.0, ": the planners are slow (the front end takes up to 8 ms of a dwell of 200 ms); "),
+    ):
+        told = show(f"{quiet}/?run=begun", before=partial(_with_a_front_end, took_ms=took, change=change))
+        expect(told.locator("#notice")).to_contain_text(f"% of the plans are late{why}")
     as_it_is = show(f"{quiet}/?run=begun")
     expect(as_it_is.locator("#dwell")).to_have_text(str(BEGUN - 1))
     expect(as_it_is.locator("#legend")).to_contain_text("false alarm")
