@@ -28,6 +28,7 @@ class Column:
     heading: str
     form: str
     left: bool = False  # aligned so: a text, not a number
+    wraps: bool = False  # the last one, a sentence: it has several lines where there is little room
 
     def cell(self, row: Row) -> str:
         """Text of this column in a row; "-" for what is not known."""

@@ -1,8 +1,12 @@
-"""Tables on a terminal, at any width: a row is one line, no value is cut, columns without room are named instead."""
+"""Tables on a terminal, at any width: no value is cut, and columns that are left out for want of room are named.
+
+A row is one line, or several where its last column is a sentence.
+"""
 
 import re
 import textwrap
 from collections.abc import Sequence
+from itertools import chain, zip_longest
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -12,6 +16,7 @@ from cogradar.services.analysis.tables import Column, Table
 from cogradar.shared.scenario.faults import printable
 
 INDENT = 2  # of a value that has lines of its own
+SENTENCE = 20  # characters of its line, at least
 SHORT = 4  # characters of a heading that is never broken
 
 
@@ -23,6 +28,12 @@ class _Drawn:
         self.heading = [column.heading]
         self.cells = [printable(" ".join(column.cell(row).splitlines())) for row in table.rows]
         self.width = max(map(cell_len, [*self.heading, *self.cells]))
+        self.lines = [[cell] for cell in self.cells]
+
+    def wrap(self, width: int) -> None:
+        """Break the cells between their words."""
+        self.lines = [textwrap.wrap(cell, width) or [""] for cell in self.cells]
+        self.width = width
 
     def narrow(self) -> None:
         """Break the heading between its words: as narrow as the cells or the longest word."""
@@ -40,7 +51,7 @@ class _Drawn:
 def print_tables(console: Console, tables: Sequence[Table], width: int | None = None, remedy: str = "") -> None:
     """Print tables, at most as wide as the console or as `width`, with a blank line after each.
 
-    `remedy` says what shows the columns that have no room.
+    `remedy` says what shows the columns that are left out; a wider window does if there is nothing else.
     """
     for table in tables:
         for line in [*layout(table, width or console.width, remedy), Text("")]:
@@ -50,9 +61,9 @@ def print_tables(console: Console, tables: Sequence[Table], width: int | None = 
 def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
     """The lines of a table, none wider than `width`.
 
-    If the columns do not fit side by side, their headings are broken. A single row becomes a list of its values. Of
-    several rows, what is the same in all goes into a line of its own. If that is not enough, the last columns are left
-    out, and named.
+    If the columns do not fit side by side, their headings are broken, and a sentence in the last one. A single row
+    becomes a list of its values. Of several rows, what is the same in all goes into a line of its own. If that is not
+    enough, the last columns are left out, and named, with what shows them.
     """
     title = [_title(table.title)] if table.title else []
     if not table.rows:
@@ -65,13 +76,19 @@ def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
         return [*title, *_grid(table, columns, width)]
     if len(table.rows) == 1:
         return [*title, *map(Text, _record(columns, width))]
+    room = width - sum(column.width + 2 for column in columns[:-1])
+    if table.columns[-1].wraps and room >= SENTENCE:
+        columns[-1].wrap(room)
+        return [*title, *_grid(table, columns, width)]
+    needed = sum(column.width + 1 for column in columns) - 1
     columns, same = _split(columns, width)
     shown = list(columns)
     while len(shown) > 1 and not _fits(shown, width, gap=1):
         shown.pop()
     # A name and its value stay together: a no-break space is none to textwrap.
     notes = [("all rows:", [f"{name}\xa0{value or '-'}" for name, value in same.items()])]
-    notes += [("no room for", [column.name for column in columns[len(shown) :]])]
+    notes += [("left out:", [column.name for column in columns[len(shown) :]])]
+    remedy = remedy or f"; a window of {needed} characters, or COLUMNS={needed}, shows them"
     above, below = (
         [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {', '.join(words)}{end}", width) if words]
         for (head, words), end in zip(notes, ("", remedy), strict=True)
@@ -95,12 +112,15 @@ def _grid(table: Table, columns: Sequence[_Drawn], width: int) -> list[Text]:
     height = max(len(column.heading) for column in columns)
     headings = [[""] * (height - len(column.heading)) + column.heading for column in columns]
     head = [_line(columns, texts, gap) for texts in zip(*headings, strict=True)]
-    rows = [_line(columns, [column.cells[i] for column in columns], gap) for i in range(len(table.rows))]
-    lines = [Text(line) for line in [*head, "-" * max(map(cell_len, [*head, *rows]))]]
+    rows = [
+        [_line(columns, texts, gap) for texts in zip_longest(*(column.lines[i] for column in columns), fillvalue="")]
+        for i in range(len(table.rows))
+    ]
+    lines = [Text(line) for line in [*head, "-" * max(map(cell_len, [*head, *chain(*rows)]))]]
     for i, row in enumerate(rows):
         if i and table.group and table.rows[i][table.group] != table.rows[i - 1][table.group]:
             lines.append(Text(""))
-        lines.append(Text(row, "bold" if i in table.bold else ""))
+        lines += [Text(line, "bold" if i in table.bold else "") for line in row]
     return lines
 
 

@@ -48,7 +48,7 @@ def check_own(text: str, kind: str | None) -> None:
         Column("", "{name}", left=True),
         Column("check", "{check}", left=True),
         Column("", "{mark}", left=True),
-        Column("found", "{found}", left=True),
+        Column("found", "{found}", left=True, wraps=True),
     )
     rows = [{**one._asdict(), "mark": "ok" if one.ok else "wrong"} for one in found]
     wrong = [f"{one.name}: {one.check}: {one.found}" for one in found if not one.ok]

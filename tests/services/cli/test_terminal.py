@@ -56,7 +56,7 @@ def test_answers_to_every_question_have_a_line_per_row_and_name_what_has_no_room
     assert max(map(len, lines)) <= width
     (rule,) = (i for i, line in enumerate(lines) if set(line) == {"-"})
     notes = " ".join(lines[rule + 1 + len(rows) :])
-    assert not notes or notes.startswith("no room for ")
+    assert not notes or notes.startswith("left out: ")
     text = "\n".join(lines)
     for name in set(rows[0]) - set(NOTES):
         assert all(part in text for part in re.split("_", name)), name
@@ -119,7 +119,28 @@ def test_what_has_no_room_is_left_out_from_the_end_and_named() -> None:
         "----------------",
         "0" * 10 + "  0000",
         "1" * 10 + "  1111",
-        "no room for c_d",
+        "left out: c_d; a",
+        "window of 28",
+        "characters, or",
+        "COLUMNS=28, shows",
+        "them",
+    ]
+    shown = [line for line in _lines(_table(rows, "a", "b", "c_d"), 28) if "left out" in line]
+    assert shown == []  # so much is enough
+
+
+def test_a_sentence_in_the_last_column_has_several_lines() -> None:
+    rows = [
+        {"check": "cost", "found": "a dwell takes at most so many ms"},
+        {"check": "loads", "found": "yes"},
+    ]
+    columns = [Column("check", "{check}", left=True), Column("found", "{found}", left=True, wraps=True)]
+    assert _lines(Table("", columns, rows), 32) == [
+        "check  found",
+        "-------------------------------",
+        "cost   a dwell takes at most so",
+        "       many ms",
+        "loads  yes",
     ]
 
 
