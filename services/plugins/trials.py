@@ -3,6 +3,7 @@
 Each call gets arguments of its own, made anew, so that what it does to them is seen.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,12 +23,13 @@ from cogradar.services.planner.owned_track import snapshot_of
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.planning.radar_pomdp import problem_of
 from cogradar.shared.power.rules import Requests
+from cogradar.shared.protocol.messages import Scan, Waveform
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.plugins.kinds import BELIEF, DISTURBANCE, FEED, FRONT_END, OBJECTIVE, RULE, STRATEGY, Kind
 from cogradar.shared.scenario.plugins.names import PluginFailed
-from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.response import FAR_KM
 from cogradar.shared.signal.scan import Detections
@@ -37,6 +39,7 @@ from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import start
 from cogradar.shared.wire.codec import decode, encode
 
+DWELLS, ACQUISITION = 20, 5  # of a front end: the first may load much, and some faults come with beams, or later
 N_DRAW = 4000  # cells of which the mean power of a disturbance is estimated
 POWER_WITHIN = 0.1  # of 1; heavy tails make the mean uncertain
 _SIGMA_HAT = 0.02
@@ -227,24 +230,67 @@ def _feed() -> Trial:
 
 
 def _front_end() -> Trial:
-    settings = Settings("check", load("smoke").radar, Strategy.POWER_AWARE, dwells=1, rate_hz=0.0)
+    settings = Settings("check", load("smoke").radar, Strategy.POWER_AWARE, dwells=DWELLS, rate_hz=0.0)
+    dwell_ms = 1e3 * settings.radar.motion.dt_s
 
     def call(make: Callable[[Settings], FrontEnd], asked: Transmission) -> Any:
-        try:
-            front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S)
-            try:
-                measured = front_end.transmit(0, 0, asked)
-            finally:
-                front_end.close()
-            return (
-                None
-                if measured is None
-                else scan_message(settings, 0, 0, compared(settings.radar, asked, measured), None)
-            )
-        except Exception as error:
-            raise PluginFailed(f"{type(error).__name__}: {error}") from error
+        return _driven(make, settings, [asked])[0]
+
+    def dwells(make: Callable[[Settings], FrontEnd]) -> tuple[str, bool]:
+        _, taken_ms = _driven(make, settings, [_asked(settings.radar, k) for k in range(DWELLS)])
+        n, (first_ms, *later_ms) = len(taken_ms), taken_ms or [0.0]
+        k = int(np.argmax(later_ms)) + 1 if later_ms else 0
+        slowest = f"the slowest, dwell {k}, in {max(later_ms, default=0.0):.3g} ms of {dwell_ms:g} ms"
+        ended = "" if n == DWELLS else "; then there are no more"
+        said = f"{n} of acquisition and beams{ended}; the first in {first_ms:.3g} ms, {slowest}"
+        return said, max(later_ms, default=0.0) < dwell_ms
 
     def everywhere() -> tuple[Any, ...]:
         return (transmission(settings.radar, None),)
 
-    return Trial((("a dwell of the acquisition", everywhere),), "", call, repeats=False)
+    cases = (("a dwell of the acquisition", everywhere),)
+    return Trial(cases, "", call, dwells, "dwells", repeats=False)
+
+
+def _driven(
+    make: Callable[[Settings], FrontEnd], settings: Settings, asked: Sequence[Transmission]
+) -> tuple[Scan | None, list[float]]:
+    """The last scan of a front end that is opened for these dwells, and how long each took, ms. Raises PluginFailed."""
+    scan, taken_ms, where = None, list[float](), ""
+    try:
+        front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S)
+        try:
+            for k, one in enumerate(asked):
+                t = max(0, k + 1 - ACQUISITION)
+                where, began = f"dwell {k}: ", time.perf_counter()
+                if (measured := front_end.transmit(k, t, one)) is None:
+                    break
+                taken_ms.append(1e3 * (time.perf_counter() - began))
+                scan = scan_message(settings, k, t, compared(settings.radar, one, measured), None)
+        finally:
+            front_end.close()
+    except Exception as error:
+        raise PluginFailed(f"{where if len(asked) > 1 else ''}{type(error).__name__}: {error}") from error
+    return scan, taken_ms
+
+
+def _asked(radar: RadarConfig, k: int) -> Transmission:
+    """What a radar asks for that acquires, and then turns two beams from bin to bin."""
+    if k < ACQUISITION:
+        return transmission(radar, None)
+    array = radar.array
+    bins = np.array([[k % array.n_bin], [(k + array.n_bin // 2) % array.n_bin]], np.int32)
+    share = array.power / len(bins)
+    steered = steering_vector(bin_centres(array.n_bin)[bins[:, 0]], array.n_tx)
+    beams = Waveform(
+        run="check",
+        k=k - 1,
+        tracking=True,
+        isotropic=0.0,
+        factor=(np.sqrt(share / array.n_tx) * steered.T).astype(np.complex64),
+        beams=bins,
+        shares=np.full(bins.shape, share),
+        status="fixed",
+        late=np.zeros(len(bins), np.int32),
+    )
+    return transmission(radar, beams)

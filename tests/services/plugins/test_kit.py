@@ -1,5 +1,6 @@
 """What `cogradar check FILE.py` finds, and the files of `cogradar new`."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,29 @@ def test_a_front_end_that_hangs_is_found(tmp_path: Path, monkeypatch: pytest.Mon
     )
     (answer,) = [one for one in kit.check(f"{tmp_path}/mine.py:Receiver") if one.check == "answers"]
     assert (answer.ok, "transmit did not return within 0.1 s" in answer.found) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("line", "said", "is_ok"),
+    [
+        (
+            "pass",
+            r"^20 of acquisition and beams; the first in \S+ ms, the slowest, dwell \d+, in \S+ ms",
+            True,
+        ),
+        ("assert k < 7", r"^dwell 7: AssertionError", False),
+        ("assert waveform.isotropic", r"^dwell 5: AssertionError", False),  # it does not expect beams
+        ("if k == 9: return None", r"^9 of acquisition and beams; then there are no more; the first", True),
+        ("__import__('time').sleep(1.1 * (k == 6))", r"the slowest, dwell 6, in 1\S+ ms of 1000 ms$", False),
+    ],
+)
+def test_several_dwells_of_a_front_end_are_tried(line: str, said: str, is_ok: bool, tmp_path: Path) -> None:
+    templates.write("front-end", tmp_path / "mine.py")
+    text = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(text.replace("        w = root", f"        {line}\n        w = root"))
+    found = [one for one in kit.check(f"{tmp_path}/mine.py:Receiver") if one.check in {"dwells", "answers"}]
+    assert found[0].ok  # one dwell of an acquisition
+    assert (found[-1].ok, bool(re.search(said, found[-1].found))) == (is_ok, True), found[-1].found
 
 
 HEAD = "import random\nimport numpy as np\nfrom cogradar.plugins import Choice\n\ncalls = []\n\n\n"
