@@ -40,14 +40,16 @@ def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
 
 
 def measured_at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
-    """The same where the array measures them, with their heights: `array.in_plane`."""
+    """The same where the array measures them, with their heights: `array.in_plane`. KeyError if one has no state."""
     found = at_start(targets)
     for m, state in found.items():
+        if not state:
+            raise KeyError("state")
         height, rows = targets[m].get("height_km", 0.0), targets[m].get("trajectory")
         columns = np.array([[]] if rows is None else rows).T
         if len(columns) > 3:
             height = np.interp(0.0, columns[0], columns[3])
-        found[m] = in_plane(state, height).tolist() if state else state
+        found[m] = in_plane(state, height).tolist()
     return found
 
 
@@ -241,7 +243,8 @@ def cross_faults(tables: dict[str, Any], known: Sequence[Fault] = ()) -> list[Fa
             continue
         try:
             check(*(_at(tables, path) for path in paths))
-        except (AttributeError, KeyError, TypeError, IndexError):  # missing, or no table, which has a line already
+        # Missing, no table, or a number beyond all numbers: it has a line already.
+        except (AttributeError, KeyError, TypeError, IndexError, OverflowError):
             continue
         except ValueError as error:
             found.append(Fault(table.split(".") if table else [], "", str(error)))

@@ -330,7 +330,8 @@ class TargetSection(Section):
     @model_validator(mode="after")
     def _one_way_of_flying(self) -> Self:
         if (self.state is None) == (self.trajectory is None):
-            raise ValueError(f"must have state or trajectory, has {'both' if self.state is not None else 'neither'}")
+            has = "both" if self.state is not None else "neither: set state = [x, vx, y, vy], in km and km/s"
+            raise ValueError(f"must have state or trajectory, has {has}")
         own = [name for name, value in (("turns", self.turns), ("stays", self.stays)) if value]
         own += ["sigma_s_km_s2"] if self.sigma_s_km_s2 is not None else []
         if self.trajectory is not None and own:

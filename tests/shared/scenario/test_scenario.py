@@ -343,6 +343,29 @@ def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
     assert caught.value.faults == (str(caught.value),)
 
 
+def test_a_target_without_a_state_is_one_fault_and_not_a_message_of_numpy(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    targets = "[[world.targets]]\ngone_s = 10.0\n[[world.targets]]\nstate = [20.0, 0.05, 5.0, 0.1]\n"
+    file.write_text(f'extends = "smoke"\n{targets}')
+    with pytest.raises(ScenarioError) as raised:
+        load(str(file))
+    (fault,) = raised.value.faults
+    said = "must have state or trajectory, has neither: set state = [x, vx, y, vy], in km and km/s"
+    assert fault == f"{file}: world.targets #1: {said}"
+
+
+@pytest.mark.parametrize("key", ["radar.tracks", "radar.array.n_bin", "radar.planner.n_sim"])
+def test_a_number_beyond_all_numbers_has_a_line(key: str) -> None:
+    document = load("smoke").model_dump()
+    *tables, last = key.split(".")
+    table = document
+    for name in tables:
+        table = table[name]
+    table[last] = 10**400
+    with pytest.raises(ScenarioError, match=f"{key} = "):
+        parse(document, source="mine")
+
+
 def test_a_real_front_end_has_no_world() -> None:
     document: dict[str, Any] = tomllib.loads(SMOKE)
     del document["world"]
