@@ -11,7 +11,7 @@ const GAP = 0.06;
 // One above the other: what any of the two runs has.
 const PANELS = [
   ["Detected %", (one) => percents(one.detected)],
-  ["With a track %", (one) => percents(one.missed.map((share) => (share === null ? null : 1 - share)))],
+  ["Tracked %", (one) => percents(one.missed.map((share) => (share === null ? null : 1 - share)))],
   ["GOSPA km", (one) => one.gospa_km],
   ["Error km", (one) => one.error_km],
 ];
@@ -19,13 +19,14 @@ const PANELS = [
 const percents = (shares) => shares.map((share) => (share === null ? null : 100 * share));
 
 export class Compare {
-  // `seek(t)` goes to a dwell that was clicked on.
-  constructor(seek) {
-    Object.assign(this, { panel: byId("compare-panel"), node: byId("compare"), seek, pair: null, answers: null });
+  // `seek(t)` goes to a dwell that was clicked on; `rows()` are the runs that are known.
+  constructor(seek, rows) {
+    Object.assign(this, { rows, panel: byId("compare-panel"), node: byId("compare"), seek, pair: null, answers: null });
     const both = (...runs) => Promise.all(runs.map((run) => ask(`${runPath(run)}/timeline`)));
     this.latest = new Latest(EVERY_MS, both, (answers, problem) => {
       put(byId("compare-caption"), problem ? `${problem.message}` : "");
       if (answers) this.answers = answers;
+      this.names();
       this.draw();
     });
     byId("compare-end").addEventListener("click", () => show({ beside: null }));
@@ -41,11 +42,18 @@ export class Compare {
     else this.latest.want(run, other);
     if (key === this.key) return;
     Object.assign(this, { key, answers: null, pair: [run, other] });
-    put(byId("compare-first"), run ?? "");
-    put(byId("compare-second"), other ?? "");
+    this.names();
     window.Plotly?.purge(this.node);
     this.isHeard = false;
     put(byId("compare-caption"), "Loading …");
+  }
+
+  // What tells the two apart beside their names.
+  names() {
+    for (const [id, run] of [["compare-first", this.pair[0]], ["compare-second", this.pair[1]]]) {
+      const row = this.rows().find((one) => one.run === run);
+      put(byId(id), row ? `${run}: ${row.strategy}, seed ${row.seed}` : run);
+    }
   }
 
   async draw() {

@@ -42,12 +42,12 @@ export function graticule({ context, at, scale, width, height }, site) {
   for (const latitude of round(south, north)) {
     const line = spread(west, east).map((longitude) => point(latitude, longitude));
     draw(context, line);
-    label(context, line, ([x]) => Math.abs(x - 3), hemisphere(latitude, "N", "S"), 0, -3);
+    label(context, line, ([x]) => Math.abs(x - 3), hemisphere(latitude, "N", "S"), [0, -3], width);
   }
   for (const longitude of round(west, east)) {
     const line = spread(south, north).map((latitude) => point(latitude, longitude));
     draw(context, line);
-    label(context, line, ([, y]) => Math.abs(y - 12), hemisphere(((longitude + 540) % 360) - 180, "E", "W"), 3, 0);
+    label(context, line, ([, y]) => Math.abs(y - 12), hemisphere(((longitude + 540) % 360) - 180, "E", "W"), [3, 0], width);
   }
 }
 
@@ -68,8 +68,9 @@ function draw(context, line) {
   context.stroke();
 }
 
-// At the point of a line for which `far` is least.
-function label(context, line, far, text, right, down) {
+// At the point of a line for which `far` is least, unless it would be cut off.
+function label(context, line, far, text, [right, down], width) {
   const [x, y] = line.reduce((best, one) => (far(one) < far(best) ? one : best));
-  context.fillText(text, Math.max(x, 2) + right, Math.max(y, 11) + down);
+  const from = Math.max(x, 2) + right;
+  if (from + context.measureText(text).width < width) context.fillText(text, from, Math.max(y, 11) + down);
 }

@@ -13,6 +13,7 @@ import { Runs, newestOf } from "./runs.js";
 import * as says from "./says.js";
 import { Session } from "./session.js";
 import { byId, put } from "./text.js";
+import { mark } from "./wide.js";
 import { VIEWS, ZOOMS, link, onView, show, view } from "./view.js";
 
 const LOOK_MS = 3000; // for runs that begin
@@ -24,7 +25,7 @@ const radar = new Radar(charts, orders, command);
 const session = new Session(radar);
 const machines = new Machines();
 new Alarms(session);
-const compare = new Compare((t) => session.player.seek(t));
+const compare = new Compare((t) => session.player.seek(t), () => runs.rows);
 const runs = new Runs(listed);
 
 function listed(rows, problem) {
@@ -170,6 +171,7 @@ function themed() {
 
 onTheme(themed);
 themed();
+for (const place of document.querySelectorAll(".scroll")) mark(place);
 views();
 orders.open(view.run);
 if (view.run !== null) session.open(view.run);

@@ -3,6 +3,7 @@
 import re
 import time
 from datetime import datetime
+from itertools import pairwise
 
 import pytest
 from playwright.sync_api import Page, Route, expect
@@ -136,9 +137,37 @@ def test_a_second_run_is_drawn_beside_the_first(stored: str, show: Open) -> None
         "aria-label", re.compile(r"wandering: Detected % [\d.]+, Error km [\d.]+\. hundred: Det")
     )
     until(page, "location.search.includes('beside=hundred')")
+    expect(page.locator("#compare-first")).to_have_text("wandering: uniform, seed 4")
+    expect(page.locator("#compare-second")).to_have_text("hundred: power-aware, seed 1")
     page.get_by_role("button", name="Close").click()
     expect(chart).to_be_hidden()
     until(page, "!location.search.includes('beside')")
+
+
+def test_names_of_what_is_compared_are_whole_beside_three_charts(unknown: str, show: Open) -> None:
+    page = show(f"{unknown}/?run=sited&view=runs&beside=by-hand")
+    titles = page.locator("#compare .g-ytitle, #compare .g-y2title, #compare .g-y3title")
+    expect(titles).to_have_count(3)
+    frame = page.locator("#compare").bounding_box()
+    boxes = sorted((box for i in range(3) if (box := titles.nth(i).bounding_box())), key=lambda box: box["y"])
+    assert frame is not None
+    assert boxes[0]["y"] >= frame["y"]
+    assert all(one["y"] + one["height"] < other["y"] for one, other in pairwise(boxes))
+
+
+@pytest.mark.parametrize("view", ["radar", "list", "runs"])
+def test_a_table_that_is_wider_than_the_screen_says_that_it_goes_on(view: str, stored: str, show: Open) -> None:
+    address = f"{stored}/?run=hundred&dwell=30&view={view}"
+    said = show(address, width=400).locator(f"#{view} .goes-on")
+    expect(said).to_have_text("more columns →")
+    place = said.locator("xpath=following-sibling::*[1]")
+    expect(place).to_have_attribute("data-goes-on", "right")
+    assert "gradient" in place.evaluate("(node) => getComputedStyle(node).maskImage")
+    place.evaluate("(node) => node.scrollTo({ left: 30 })")
+    place.evaluate("(node) => node.scrollTo({ left: node.scrollWidth })")
+    expect(said).to_have_text("← more columns")
+    expect(place).to_have_attribute("data-goes-on", "left")
+    expect(show(address).locator(f"#{view} .goes-on")).to_be_hidden()
 
 
 def test_a_run_whose_last_dwell_takes_long_shows_its_first_one_meanwhile(stored: str, show: Open) -> None:
