@@ -234,8 +234,8 @@ class Simulator:
             case Kind.POWER:
                 self._disk.cuts_power = False
                 self._start(fault.who)
-            case Kind.HANG | Kind.FREEZE if process is not None:
-                self._go_on(process, fault)
+            case Kind.HANG | Kind.FREEZE:
+                self._let_go(fault)
             case Kind.BEHIND if process is not None:
                 process.behind.discard(fault)
             case Kind.TWIN | Kind.MOVED:
@@ -285,6 +285,11 @@ class Simulator:
         if fault in process.halted and self._cluster.processes.get(fault.who) is process:
             self._cluster.succeed(fault.who)
 
+    def _let_go(self, fault: Fault) -> None:
+        """End what halts a process, whatever its key is by now: another one may have its place."""
+        for process in [one for one in self._cluster.processes.values() if fault in one.halted]:
+            self._go_on(process, fault)
+
     def _go_on(self, process: Process, fault: Fault) -> None:
         process.halted.discard(fault)
         process.is_dead_to_others = process.is_dead_to_others and bool(process.halted)
@@ -303,8 +308,7 @@ class Simulator:
             self._disk.commit_s = fault.amount if is_there else 0.0
         elif fault.kind is Kind.SUCCESSOR:
             self._disk.after_commit = partial(self._freeze, fault) if is_there else lambda: None
-            for process in [one for one in self._cluster.processes.values() if fault in one.halted]:
-                self._go_on(process, fault)
+            self._let_go(fault)
         else:
             self._disk.is_full = is_there
             self._disk.limit()
