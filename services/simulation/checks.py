@@ -38,11 +38,13 @@ class Dwell(NamedTuple):
     t: int
     isotropic: float
     factor: bytes
+    orders: Sequence[Order]  # of which the emulator had been told
 
     @classmethod
-    def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission) -> "Dwell":
+    def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission, told: "Told") -> "Dwell":
         """A transmission of dwell k at clock t, `at`."""
-        return cls(run, at_s, *at, waveform.isotropic, waveform.factor.astype(np.complex64).tobytes())
+        factor = waveform.factor.astype(np.complex64).tobytes()
+        return cls(run, at_s, *at, waveform.isotropic, factor, told.orders.get(run, ()))
 
 
 class Told:
@@ -50,6 +52,8 @@ class Told:
 
     def __init__(self) -> None:
         self._k: dict[str, int] = {}  # dwells, by run
+        self.orders: dict[str, Sequence[Order]] = {}  # by run, of which an emulator was told,
+        self._ordered: dict[str, tuple[int, int]] = {}  # ... at which dwell, and which was the last
         self.is_restored = False  # a journal that was restored lacks some
 
     def hear(self, checkpoint: Checkpoint, journal: Journal | None) -> None:
@@ -57,6 +61,17 @@ class Told:
         if checkpoint.k > self._k.get(checkpoint.run, 0):
             self._k[checkpoint.run] = checkpoint.k
             self.check(journal)
+
+    def hear_orders(self, checkpoint: Checkpoint) -> None:
+        """An emulator heeds a checkpoint; one that was overtaken takes no order back."""
+        at = checkpoint.k, max((order.n for order in checkpoint.orders), default=-1)
+        if at >= self._ordered.get(checkpoint.run, at):
+            self._ordered[checkpoint.run], self.orders[checkpoint.run] = at, checkpoint.orders
+
+    def check_ahead(self, run: str, k: int, most: int) -> None:
+        """Raises Violated if dwell k is radiated too far ahead of what the journal is said to have."""
+        if (ahead := k - self._k.get(run, 0)) >= most:
+            raise Violated(f"{run}: dwell {k} is radiated, {ahead} ahead of the journal, at most {most - 1}")
 
     def check(self, journal: Journal | None) -> None:
         """Raises Violated if a journal lacks a dwell. None: its recorder is dead, and its next one is looked at."""
@@ -78,45 +93,70 @@ def check_power(
 ) -> None:
     """No more is radiated than the array has, or than an order allows. Raises Violated.
 
-    given : what became of the commands of each run
+    given : what became of the commands of each run; in real time the radar may be told of one too late for its dwell
     """
+    loses = {start.run: pacing_at(start.rate_hz).loses_dwells for start in starts}
     limits = {start.run: float(start.scenario["radar"]["array"]["power"]) for start in starts}
     orders = {run: [order for order in commands if order is not None] for run, commands in given.items()}
     for dwell in radiated:
         power = dwell.isotropic + float(np.sum(np.abs(np.frombuffer(dwell.factor, np.complex64)) ** 2))
-        there = in_force(orders[dwell.run], dwell.k)
+        there = in_force(dwell.orders if loses[dwell.run] else orders[dwell.run], dwell.k)
         limit = 0.0 if is_paused(there) else limits[dwell.run] * power_share(there)
         if not power <= limit * (1.0 + TOLERANCE):
             raise Violated(f"{dwell.run}: dwell {dwell.k} with power {power:g}, at most {limit:g}")
 
 
 def check_waveforms(starts: Sequence[RunStart], radiated: Iterable[Dwell], said: Iterable[Message]) -> None:
-    """What was radiated in a run was made for it, or is what any run begins with. Raises Violated."""
-    first = {(start.run, float(start.scenario["radar"]["array"]["power"]), b"") for start in starts}
-    made = {(one.run, one.isotropic, one.factor.tobytes()) for one in said if isinstance(one, Waveform)}
+    """What was radiated in a run was made for it, or is what any run begins with, or so much of it as orders let be.
+
+    Raises Violated.
+    """
+    power = {start.run: float(start.scenario["radar"]["array"]["power"]) for start in starts}
+    made = {(run, isotropic, b"") for run, isotropic in power.items()}
+    made |= {(one.run, one.isotropic, one.factor.tobytes()) for one in said if isinstance(one, Waveform)}
     for dwell in radiated:
-        if (dwell.run, dwell.isotropic, dwell.factor) not in made | first:
+        most = power[dwell.run] * power_share(in_force(dwell.orders, dwell.k))
+        sent = dwell.run, dwell.isotropic, dwell.factor
+        if sent not in made and sent not in {_limited(one, most) for one in made if one[0] == dwell.run}:
             raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated with a waveform that was not made for it")
 
 
+def _limited(made: tuple[str, float, bytes], most: float) -> tuple[str, float, bytes]:
+    """What is radiated of a waveform if orders let be so much."""
+    run, isotropic, packed = made
+    factor = np.frombuffer(packed, np.complex64).astype(np.complex128)
+    share = min(most / (isotropic + float(np.sum(np.abs(factor) ** 2))), 1.0)
+    return run, share * isotropic, (np.sqrt(share) * factor).astype(np.complex64).tobytes()
+
+
 def check_pace(start: RunStart, radiated: Iterable[Dwell], quiet_s: float) -> None:
-    """In real time each dwell is radiated when it is due, whatever happens to others than the emulator."""
+    """In real time each dwell is radiated when it is due, whatever happens to others than the emulator.
+
+    Those that could not be are not made up for. Raises Violated.
+    """
     period_s = pacing_at(start.rate_hz).seconds(1)
     times = [dwell.at_s for dwell in radiated if dwell.run == start.run]
     for before, after in pairwise(times):
         if before >= quiet_s and after - before > period_s * (1.0 + SLACK):
             raise Violated(f"{start.run}: nothing was radiated from {before:.3f} to {after:.3f} s")
+    for before, after in zip(times, times[2:], strict=False):
+        if before >= quiet_s and after - before < period_s * (1.0 - SLACK):
+            raise Violated(f"{start.run}: three dwells were radiated from {before:.3f} to {after:.3f} s")
 
 
 def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
-    """In real time plans are in time again, some time after the last fault, and targets are seen. Raises Violated."""
+    """In real time plans and waveforms are in time again, some time after the last fault, and targets are seen.
+
+    Raises Violated.
+    """
     first_k = math.ceil((quiet_s + RECOVERED_S) * start.rate_hz)
-    in_time, seen = list[bool](), list[bool]()
-    for _, found in groupby(journal.dwells(start.run, ("scan", "truth", "waveform"), from_k=first_k), itemgetter(0)):
-        by_type = {type(message): message for message in (decode(payload) for _, _, payload in found)}
+    in_time, fresh, seen = list[bool](), list[bool](), list[bool]()
+    for _, of_dwell in groupby(journal.dwells(start.run, ("scan", "truth", "waveform"), from_k=first_k), itemgetter(0)):
+        by_type = {type(message): message for message in (decode(payload) for _, _, payload in of_dwell)}
         match by_type.get(Waveform), by_type.get(Scan), by_type.get(Truth):
             case Waveform() as sent, Scan() as scan, Truth() as truth:
                 in_time += (sent.late == 0).tolist()
+                fresh += [scan.waveform_k is None]
                 p_fa = float(start.scenario["radar"]["detector"]["p_fa"])
                 limits = threshold(p_fa) if scan.limits is None else scan.limits
                 bins = np.asarray(scan.bins)[scan.statistic >= limits]
@@ -125,9 +165,9 @@ def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
                 pass
     if len(seen) < LEAST_DWELLS:
         return
-    share = float(np.mean(in_time or [False]))
-    if share < LEAST_IN_TIME:
-        raise Violated(f"{start.run}: from dwell {first_k} on {share:.0%} of the plans are in time")
+    for what, found in (("plans", in_time), ("waveforms", fresh)):
+        if (share := float(np.mean(found or [False]))) < LEAST_IN_TIME:
+            raise Violated(f"{start.run}: from dwell {first_k} on {share:.0%} of the {what} are in time")
     if np.mean(seen) < LEAST_P_D:
         raise Violated(f"{start.run}: from dwell {first_k} on targets are seen in {np.mean(seen):.0%} of the dwells")
 

@@ -223,6 +223,8 @@ class Cluster:
             return
         if isinstance(event, Checkpoint):
             self.told.hear(event, self.disk.journal if self.disk.is_open else None)
+            if process.role is Role.EMULATOR:
+                self.told.hear_orders(event)
         self._handle(process, event)
 
     def _set_timer(self, process: Process) -> None:

@@ -1,7 +1,8 @@
 """A cache of the results of pure functions, since a simulation plays the same runs many thousand times.
 
-Exact: the key is a digest of all arguments, arrays bit for bit. Cached results are read-only. A message that is encoded
-is known only as the same object: to tell an equal one takes longer than to encode it.
+Exact: the key is a digest of all arguments, arrays bit for bit. Cached results are read-only. Now and then a result is
+computed again, so that a function that is not pure is found. A message that is encoded is known only as the same
+object: to tell an equal one takes longer than to encode it.
 """
 
 import dataclasses
@@ -46,6 +47,13 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
 )
 
 
+AGAIN = 100  # results that are taken as they are known, before one is computed again and compared
+
+
+class Impure(AssertionError):
+    """A function whose result depends on more than its arguments."""
+
+
 _PLAIN = frozenset({bool, float, int, str, type(None)})  # most of what is within arguments
 _FIELDS = "_fields"  # what only named tuples have
 _MISSING = object()
@@ -59,13 +67,17 @@ class Memory:
         self._results: dict[object, Any] = {}
         self._digests: dict[int, tuple[object, bytes]] = {}  # of objects that do not change, which stay alive here
         self._encoded: dict[int, tuple[object, Any]] = {}  # likewise
+        self._n_known = 0  # results that were asked for and known
 
     def result(self, function: Callable[..., T], args: tuple[Any, ...]) -> T:
-        """The result of a function, computed at most once for these arguments."""
+        """The result of a function of these arguments, computed once as a rule. Raises Impure."""
         key = self._key(function, args)
         known = self._results.get(key, _MISSING)
         if known is not _MISSING:
             found: T = known
+            self._n_known += 1
+            if self._n_known % AGAIN == 0:
+                self._compare(function, found, function(*args))
             return found
         if len(self._results) >= self._most:
             self._results.clear()
@@ -85,6 +97,13 @@ class Memory:
         made = function(value)
         self._encoded[id(value)] = value, made
         return made
+
+    def _compare(self, function: Callable[..., T], found: T, again: T) -> None:
+        keys = [hashlib.blake2b(digest_size=16) for _ in range(2)]
+        for key, value in zip(keys, (found, again), strict=True):
+            self._add(key, value)
+        if keys[0].digest() != keys[1].digest():
+            raise Impure(f"{function.__qualname__}: two results of the same arguments")
 
     def _key(self, function: Callable[..., T], args: tuple[Any, ...]) -> object:
         if len(args) == 1 and type(args[0]) is bytes:

@@ -31,10 +31,10 @@ SINGLE = ("recorder-0", "emulator-0", "allocator-0")
 SCHEDULE = -1  # index of the generators that draw a schedule; a fault's index is its place in the list
 RATE_HZ = 10.0  # of runs in real time
 DWELLS = 8
-LONG_DWELLS, LONG = 150, 0.01  # of this share of the schedules in real time, in which all must be well again at the end
+LONG_DWELLS, LONG = 150, 0.03  # of this share of the schedules in real time, in which all must be well again at the end
 MOST_FAULTS = 8
 LEASE_S = 1.0  # after which the token of a frozen process is gone
-COMMANDED, MOST_COMMANDS = 0.3, 4  # share of the schedules in lockstep with commands, and how many one has
+COMMANDED, MOST_COMMANDS = 0.3, 4  # share of the schedules with commands, and how many one has
 AHEAD_DWELLS = 2  # of such a run before the journal, so that a command takes effect before its end
 RUN_SEEDS = 4  # worlds of each sky
 _LOCKSTEP_S = 0.08  # an undisturbed run is over by then
@@ -128,7 +128,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Asked:
-    """A command to one of the runs, in lockstep."""
+    """A command to one of the runs."""
 
     run: int  # its place among the runs
     action: Action
@@ -181,8 +181,10 @@ class Schedule:
             made = replace(made, rate_hz=POOLED_HZ, dwells=POOLED_DWELLS) if rate_hz else made
         others = made._pooled(pool_rng) if made.pool > 1 else made._moved()
         faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *others))
-        is_commanded = not rate_hz and rng.random() < COMMANDED
-        return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
+        if not rate_hz:
+            is_commanded = rng.random() < COMMANDED
+            return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
+        return faulty._limited()
 
     @property
     def pacing(self) -> Pacing:
@@ -285,6 +287,16 @@ class Schedule:
         n = int(rng.integers(1, MOST_COMMANDS + 1))
         chosen = zip(rng.integers(len(actions), size=n).tolist(), rng.integers(DWELLS, size=n).tolist(), strict=True)
         return tuple(Asked(int(rng.integers(self.runs)), actions[i], at) for i, at in chosen)
+
+    def _limited(self) -> Self:
+        """In real time: commands that limit what is radiated, of one emulator, which then has some dwells to obey."""
+        rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 5)
+        moved = any(fault.kind is Kind.MOVED for fault in self.faults)
+        if moved or self.pool > 1 or self.dwells > DWELLS or rng.random() >= COMMANDED:
+            return self
+        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), Pause(), Pause(dwells=2), Resume()]
+        drawn = rng.integers((self.runs, len(actions), DWELLS), size=(1 + rng.integers(MOST_COMMANDS), 3)).tolist()
+        return replace(self, dwells=2 * DWELLS, commands=tuple(Asked(run, actions[i], at) for run, i, at in drawn))
 
     def _fault(self, kind: Kind, n: int, rng: np.random.Generator) -> Fault:
         usual = self.pacing.seconds(2 * DWELLS) or _LOCKSTEP_S

@@ -67,7 +67,7 @@ def _often(schedule: Schedule) -> Iterator[None]:
     """
     before = core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS, pacing.MAX_AHEAD_DWELLS
     core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = schedule.checkpoint_dwells, schedule.snapshot_dwells
-    if schedule.commands:
+    if schedule.commands and not schedule.pacing.has_deadlines:
         pacing.MAX_AHEAD_DWELLS = AHEAD_DWELLS
     try:
         yield
@@ -158,7 +158,7 @@ class Simulator:
         if schedule.pacing.has_deadlines:
             own = [fault.settled_s for fault in schedule.faults if _is_at_radar(fault)]
             takeover_s = schedule.takeover_s
-            for start in starts:
+            for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
                 check_pace(start, self._radiated, max(own, default=0.0) + takeover_s)
                 check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
         elif schedule.faults:
@@ -180,7 +180,10 @@ class Simulator:
         )
 
     def _watch(self, run: str, k: int, t: int, waveform: Transmission) -> None:
-        self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform))
+        told = self._cluster.told
+        self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform, told))
+        if not self._schedule.pacing.has_deadlines:
+            told.check_ahead(run, k, pacing.MAX_AHEAD_DWELLS)
 
     # Faults.
 
