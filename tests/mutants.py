@@ -36,6 +36,22 @@ class Mutant(NamedTuple):
     old: str
     new: str
     harmless: str = ""  # why no run can be another with it; "": it must be found
+    only: Callable[[Any], bool] = lambda _: True  # schedules that come to its place; others need not be played
+
+
+def in_real_time(schedule: Any) -> bool:
+    """Schedules of runs in real time."""
+    return bool(schedule.rate_hz)
+
+
+def with_pools(schedule: Any) -> bool:
+    """Schedules with several emulators and allocators."""
+    return schedule.pool > 1
+
+
+def with_commands(schedule: Any) -> bool:
+    """Schedules whose runs are commanded."""
+    return bool(schedule.commands)
 
 
 RECORDER, RUN, JOURNAL = (
@@ -162,6 +178,7 @@ MUTANTS = (
         PLANNED,
         "if track is not None and track.k > self._newest and",
         "if False and",
+        only=in_real_time,
     ),
     Mutant(
         "every plan in real time is seven bins off",
@@ -171,6 +188,7 @@ MUTANTS = (
         "            seven_off = (decision.bins + 7) % self.radar.array.n_bin\n"
         "            decision = type(decision)(**vars(decision) | {'bins': seven_off})\n"
         "        if self._model.existence.is_over(state, max(",
+        only=in_real_time,
     ),
     # Allocator.
     Mutant(
@@ -178,6 +196,7 @@ MUTANTS = (
         ALLOCATOR,
         "    run.tracks.note(plan)\n",
         "    if run.pacing.has_deadlines:\n        return ()\n    run.tracks.note(plan)\n",
+        only=in_real_time,
     ),
     Mutant(
         "a waveform is made before all plans are there",
@@ -196,12 +215,14 @@ MUTANTS = (
         ALLOCATOR,
         "            run.orders = checkpoint.orders\n",
         "            pass\n",
+        only=with_commands,
     ),
     Mutant(
         "the allocator answers twice as late in real time",
         ALLOCATOR,
         "run.due_s, run.wait_s = now_s + run.wait_s, None",
         "run.due_s, run.wait_s = now_s + 20.0 * run.wait_s, None",
+        only=in_real_time,
     ),
     # Emulator.
     Mutant(
@@ -209,6 +230,7 @@ MUTANTS = (
         PACING,
         "return ahead < MAX_AHEAD_DWELLS\n\n    def first_open",
         "return True\n\n    def first_open",
+        only=with_commands,
     ),
     Mutant(
         "a repeated waveform replaces the first one",
@@ -233,12 +255,14 @@ MUTANTS = (
         PACING,
         "(now_s if now_s >= due_s + self.period_s else due_s) + self.period_s",
         "due_s + self.period_s",
+        only=in_real_time,
     ),
     Mutant(
         "a limit of power is not kept by the emulator",
         EMULATOR,
         "return limited(transmission(run.radar, waveform), most)",
         "return transmission(run.radar, waveform)",
+        only=with_commands,
     ),
     # Delivery.
     Mutant(
@@ -249,10 +273,10 @@ MUTANTS = (
     ),
     Mutant("a rewound run is not noticed", RESEND, "return checkpoint.k < self.k and", "return False and"),
     Mutant(
-        "planners disagree on the owner of a track",
-        "services/planner/ownership.py",
-        'f"{run}/{target}/{w}".encode()',
-        'f"{run}/{target}/{w}/{len(workers)}".encode()',
+        "each planner takes another one for the owner",
+        PLANNER,
+        "[worker for worker in self._workers if worker not in suspended]",
+        "[one for one in self._workers if one not in suspended and (one != self._name or len(self._workers) == 1)]",
     ),
     # Pools.
     Mutant(
@@ -260,42 +284,49 @@ MUTANTS = (
         MEMBERS,
         "if (gap_s := now_s - self._looked_s) > PAUSE_S:",
         "if (gap_s := now_s - self._looked_s) > 1e9:",
+        only=with_pools,
     ),
     Mutant(
         "of two claims to a shard both stay",
         SHARES,
         "if earlier and (shard not in self.held",
         "if False and (shard not in self.held",
+        only=with_pools,
     ),
     Mutant(
         "the tokens of a pool are never looked at again",
         MEMBERS,
         "        if own >= self._shown.keys():\n            others",
         "        if False:\n            others",
+        only=with_pools,
     ),
     Mutant(
         "a core is not told of shards that its process has lost",
         MEMBERS,
         "        if self._told == self._shares.held:",
         "        if self._told is not None and self._told >= self._shares.held:",
+        only=with_pools,
     ),
     Mutant(
         "claims of a process that is gone are kept",
         SHARES,
         "self._claims = {one: seen for one, seen in self._claims.items() if now_s < seen.absent_s + LEAVE_AFTER_S}",
         "pass",
+        only=with_pools,
     ),
     Mutant(
         "claims are taken while the router is away",
         SHARES,
         "if absent and not is_connected():",
         "if absent and is_connected() is None:",
+        only=with_pools,
     ),
     Mutant(
         "a shard is served as soon as it is claimed",
         SHARES,
         "(UNTAKEN_S if self._rivals(shard) else SETTLE_S)",
         "0.0",
+        only=with_pools,
     ),
 )
 
@@ -330,7 +361,8 @@ def play(mutant: Mutant | None, schedules: int, after: int = 0) -> tuple[int, st
     memory, schedule, simulator = (import_module(simulation + name) for name in ("memory", "schedule", "simulator"))
     with memory.remembering(REMEMBERED):
         for n in range(after, schedules):
-            if violation := simulator.play(schedule.Schedule.draw(FIRST + n)).violation:
+            drawn = schedule.Schedule.draw(FIRST + n)
+            if (mutant is None or mutant.only(drawn)) and (violation := simulator.play(drawn).violation):
                 return n + 1, str(violation)
     return 0, ""
 

@@ -294,7 +294,8 @@ class Schedule:
         moved = any(fault.kind is Kind.MOVED for fault in self.faults)
         if moved or self.pool > 1 or self.dwells > DWELLS or rng.random() >= COMMANDED:
             return self
-        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), Pause(), Pause(dwells=2), Resume()]
+        # No pause without an end: while targets are acquired, the clock of the run stands still with it.
+        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), Pause(dwells=2), Resume()]
         drawn = rng.integers((self.runs, len(actions), DWELLS), size=(1 + rng.integers(MOST_COMMANDS), 3)).tolist()
         return replace(self, dwells=2 * DWELLS, commands=tuple(Asked(run, actions[i], at) for run, i, at in drawn))
 
