@@ -22,6 +22,7 @@ RECOVERED_S = 5.0  # after the last fault
 LEAST_DWELLS = 10  # in which it is looked at
 LEAST_IN_TIME, LEAST_P_D = 0.9, 0.5
 SLACK = 0.2  # of a period that a dwell may come later than it is due
+_SCANS = "SELECT k, payload FROM message WHERE run = ? AND topic = 'scan' ORDER BY k"
 _OF_RUN = "SELECT status, reason, digest, acknowledged_k, acknowledged_t, acquisition_scans, conflicts FROM run"
 
 
@@ -170,6 +171,14 @@ def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
             raise Violated(f"{start.run}: from dwell {first_k} on {share:.0%} of the {what} are in time")
     if np.mean(seen) < LEAST_P_D:
         raise Violated(f"{start.run}: from dwell {first_k} on targets are seen in {np.mean(seen):.0%} of the dwells")
+
+
+def check_in_time(journal: Journal, start: RunStart) -> None:
+    """In real time a waveform does not wait for planners that are away. Raises Violated."""
+    scans = (decode(payload) for _, payload in journal.rows(_SCANS, [start.run]))
+    late = [scan.k for scan in scans if isinstance(scan, Scan) and scan.t > 1 and scan.waveform_k is not None]
+    if late:
+        raise Violated(f"{start.run}: only planners were disturbed, and the waveforms of dwells {late} were late")
 
 
 def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:

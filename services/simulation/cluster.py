@@ -197,6 +197,14 @@ class Cluster:
                 what = f"{sender.name} sends a {BY_MESSAGE[type(message)].name} of {message.run}"
                 raise Violated(f"{what}, which {other.name} serves")
 
+    def check_shares(self) -> None:
+        """Each run is served by one process of each pool. Raises Violated."""
+        for role in (Role.EMULATOR, Role.ALLOCATOR):
+            there = [one for one in self.processes.values() if one.role is role and not one.halted]
+            held = Counter(shard for one in there for shard in one.holds)
+            if wrong := {shard: held[shard] for shard in sorted(ALL_SHARDS) if held[shard] != 1}:
+                raise Violated(f"shards, and how many processes of role {role.value} serve each: {wrong}")
+
     def serve(self, process: Process) -> None:
         """Let a process handle what there is for it now."""
         for _ in range(SPIN):

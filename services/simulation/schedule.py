@@ -295,7 +295,7 @@ class Schedule:
         if moved or self.pool > 1 or self.dwells > DWELLS or rng.random() >= COMMANDED:
             return self
         # No pause without an end: while targets are acquired, the clock of the run stands still with it.
-        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), Pause(dwells=2), Resume()]
+        actions: list[Action] = [PowerLimit(share=0.5), PowerLimit(share=1.0), Pause(dwells=2)]
         drawn = rng.integers((self.runs, len(actions), DWELLS), size=(1 + rng.integers(MOST_COMMANDS), 3)).tolist()
         return replace(self, dwells=2 * DWELLS, commands=tuple(Asked(run, actions[i], at) for run, i, at in drawn))
 

@@ -14,6 +14,7 @@ from cogradar.services.recorder.journal import Journal, order_of
 from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
+    check_in_time,
     check_journal,
     check_pace,
     check_power,
@@ -31,7 +32,8 @@ from cogradar.shared.protocol.messages import Checkpoint, Command
 from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
-WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
+WITHIN_S = 20.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
+SETTLED_S = 15.0  # of the end of the last fault, or of the last dwell: all shards of a pool are shared again
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
 DISK, RECORDER = 2, "recorder-0"  # the disk's place among the generators of a schedule
@@ -132,9 +134,17 @@ class Simulator:
             if cluster.now_s >= max(quiet_s, checked_s + 0.05):
                 checked_s = cluster.now_s
                 if self._is_over():
+                    self._settle()
                     return
         k = [dict(row) for row in self._journal.read("SELECT run, status, acknowledged_k AS k FROM run")]
         raise Violated(f"not over at {latest_s:.1f} s, the faults were at {quiet_s:.1f} s: {k}")
+
+    def _settle(self) -> None:
+        """Let pools share their shards again, also if no run is left that would show it. Raises Violated."""
+        if self._schedule.pool > 1:
+            while self._cluster.step(self._schedule.quiet_s + SETTLED_S):
+                pass
+            self._cluster.check_shares()
 
     def _is_over(self) -> bool:
         if RECORDER not in self._cluster.processes or any(one.is_left for one in self._cluster.processes.values()):
@@ -161,6 +171,8 @@ class Simulator:
             for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
                 check_pace(start, self._radiated, max(own, default=0.0) + takeover_s)
                 check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
+                if all(Role.PLANNER in fault.who + fault.whom for fault in schedule.faults):
+                    check_in_time(self._journal, start)
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given())))
         return found

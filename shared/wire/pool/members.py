@@ -218,7 +218,8 @@ class Pool:
             self._shares.see(token.number, token.moment, now_s, is_there=is_there)
         while self._tokens.answers:
             self._compare(*self._tokens.answers.popleft(), now_s)
-        change = self._shares.decide(now_s, self._busy(), self._is_connected)
+        has_router = bool(self._tokens.routers())
+        change = self._shares.decide(now_s, self._busy(), self._is_connected, has_router=has_router)
         self._withdraw(map(str, change.withdrawn))
         for shard in sorted(change.shown):
             self._show(str(shard))

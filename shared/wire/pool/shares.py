@@ -83,19 +83,24 @@ class Shares:
         self._former, self.moment = self.moment, moment
         self.held, self._shown = frozenset(), {}
 
-    def decide(self, now_s: float, busy: Collection[int], is_connected: Callable[[], bool]) -> Change:
+    def decide(
+        self, now_s: float, busy: Collection[int], is_connected: Callable[[], bool], *, has_router: bool = True
+    ) -> Change:
         """What to show from now on; `held` is what it serves from now on.
 
         busy         : shards in which runs go on here
         is_connected : whether this process has a router, and has had the same one since this was asked last
+        has_router   : whether it has one now: without, it takes nothing on, for it sees no claim of another
         """
         self._expire(now_s, is_connected)
         self._suspended = {one: until_s for one, until_s in self._suspended.items() if now_s < until_s}
         before = frozenset(self._shown)
         self._yield(now_s)
-        self._serve(now_s)
+        if has_router:
+            self._serve(now_s)
         self._give_up(busy)
-        self._take(now_s)
+        if has_router:
+            self._take(now_s)
         self.held = self.held.intersection(self._shown)  # a new one: what was told of before stays as it was
         return Change(frozenset(self._shown.keys() - before), before - self._shown.keys())
 

@@ -1,0 +1,130 @@
+"""What the simulator looks at finds what is wrong, and lets pass what is right."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from cogradar.services.delivery.pacing import Lockstep, RealTime
+from cogradar.services.emulator import core as emulator
+from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.simulation import memory, trials
+from cogradar.services.simulation.memory import Impure, Memory
+from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind, Schedule
+from cogradar.services.simulation.simulator import Outcome, play
+from cogradar.shared.protocol.orders import Pause, PowerLimit
+from cogradar.shared.wire.pool.shares import Shares
+
+PLAIN = Schedule(
+    seed=1,
+    sky="known",
+    run_seed=1,
+    rate_hz=0.0,
+    planners=2,
+    runs=1,
+    checkpoint_dwells=4,
+    snapshot_dwells=4,
+    prepares=False,
+    faults=(),
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _remembering() -> Iterator[None]:
+    with memory.remembering(trials.REMEMBERED):
+        yield
+
+
+def _played(*faults: Fault, **changed: object) -> Outcome:
+    return play(replace(PLAIN, faults=faults, **changed))  # type: ignore[arg-type]
+
+
+def test_a_function_whose_results_differ_is_found() -> None:
+    results, known = itertools.count(), Memory(10)
+
+    def impure(_: int) -> int:
+        return next(results)
+
+    for _ in range(memory.AGAIN):
+        assert known.result(impure, (1,)) == 0
+    with pytest.raises(Impure, match="impure: two results of the same arguments"):
+        known.result(impure, (1,))
+
+
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_all_that_is_remembered_is_pure(sky: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "AGAIN", 1)
+    for _ in range(2):
+        assert _played(sky=sky, planners=3).violation == ""
+
+
+def test_a_frozen_recorder_goes_on_though_another_one_has_its_place() -> None:
+    """Frozen twice, by two faults that overlap, of which one starts a successor."""
+    faults = Fault(Kind.SUCCESSOR, 0.01, 1.5, "recorder-0", n=0), Fault(Kind.FREEZE, 1.2, 2.7, "recorder-0", n=1)
+    assert _played(*faults, rate_hz=10.0).violation == ""
+
+
+@pytest.mark.parametrize("role", ["emulator", "allocator"])
+@pytest.mark.parametrize("wakes_s", [6.9, 7.0, 7.2])
+def test_a_process_that_wakes_while_there_is_no_router_takes_nothing(role: str, wakes_s: float) -> None:
+    """It sees no claim of another then: it would serve all, beside the one that has taken over from it."""
+    faults = Fault(Kind.FREEZE, 4.5, wakes_s, f"{role}-1", n=0), Fault(Kind.ROUTER, 6.767, 7.322, "", n=1)
+    for run_seed in (1, 2, 3, 4):
+        outcome = _played(*faults, pool=2, rate_hz=2.0, dwells=12, run_seed=run_seed)
+        assert outcome.violation == ""
+
+
+def test_shards_that_two_processes_serve_are_found_though_no_run_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Shares, "_yield", lambda *_: None)
+    cut = Fault(Kind.CUT, JOINED_S, 5.0, "emulator-0", "emulator-1")
+    assert "how many processes of role emulator serve each: {" in _played(cut, pool=2).violation
+
+
+def test_shards_that_are_left_alone_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    take = Shares._take
+    monkeypatch.setattr(Shares, "_take", lambda self, now_s: None if now_s > 2.0 else take(self, now_s))
+    gone = Fault(Kind.GONE, 2.5, math.inf, "allocator-1")
+    assert "how many processes of role allocator serve each: {" in _played(gone, pool=2).violation
+
+
+def test_dwells_that_are_made_up_for_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made_up(self: RealTime, due_s: float | None, now_s: float) -> float | None:
+        due_s = now_s if due_s is None else due_s
+        return None if now_s < due_s else due_s + self.period_s
+
+    hang = Fault(Kind.HANG, 0.3, 0.75, "emulator-0")
+    assert _played(hang, rate_hz=10.0).violation == ""
+    monkeypatch.setattr(RealTime, "next_due_s", made_up)
+    assert "three dwells were radiated from" in _played(hang, rate_hz=10.0).violation
+
+
+def test_waveforms_that_wait_for_planners_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    hang = Fault(Kind.HANG, 0.3, 3.0, "planner-0")
+    assert _played(hang, planners=1, rate_hz=10.0).violation == ""
+    monkeypatch.setattr(RealTime, "wait_s", lambda self, periods: 20.0 * periods * self.period_s)
+    assert "only planners were disturbed" in _played(hang, planners=1, rate_hz=10.0).violation
+
+
+def test_a_radar_that_runs_ahead_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, commands = Fault(Kind.SLOW, 0.0, 0.05, "recorder-0", amount=0.01), (Asked(0, PowerLimit(share=0.5), 0),)
+    assert _played(slow, commands=commands).violation == ""
+    monkeypatch.setattr(Lockstep, "may_transmit", lambda *_: True)
+    assert "ahead of the journal, at most 1" in _played(slow, commands=commands).violation
+
+
+@pytest.mark.parametrize("action", [PowerLimit(share=0.5), Pause(dwells=3)])
+def test_an_order_that_the_radar_knows_and_does_not_keep_is_found(
+    action: PowerLimit | Pause, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The allocator is away, and its last waveform has all power: only the emulator can keep the order."""
+    crash, commands = Fault(Kind.CRASH, 0.55, 3.0, "allocator-0"), (Asked(0, action, 8),)
+    assert _played(crash, rate_hz=10.0, dwells=20, commands=commands).violation == ""
+    monkeypatch.setattr(emulator, "limited", _unlimited)
+    monkeypatch.setattr(emulator, "is_paused", lambda _: False)
+    assert "with power" in _played(crash, rate_hz=10.0, dwells=20, commands=commands).violation
+
+
+def _unlimited(asked: Transmission, _most: float) -> Transmission:
+    return asked
