@@ -46,7 +46,7 @@ def in_real_time(schedule: Any) -> bool:
 
 def with_pools(schedule: Any) -> bool:
     """Schedules with several emulators and allocators."""
-    return schedule.pool > 1
+    return bool(schedule.pool > 1)
 
 
 def with_commands(schedule: Any) -> bool:
