@@ -17,7 +17,7 @@ from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, no_tracks
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
+from cogradar.shared.signal.array import angle_bin, apart, near_pairs, spatial_frequency
 from cogradar.shared.signal.looks import NEIGHBOURS, n_range_cells
 from cogradar.shared.signal.response import Response, response_of
 from cogradar.shared.signal.scan import Detections
@@ -158,13 +158,12 @@ def _one_each(
         return list(plans)
     moments = moved(radar, plans, k)
     places = _places(*moments)
-    near = apart(places[:, 0], places[:, 0, np.newaxis]) < response.lobe
-    spread_km = SIGMAS * hypot(places[:, 3], places[:, 3, np.newaxis])
+    one, other = near_pairs(places[:, 0], places[:, 0], response.lobe)
+    spread_km = SIGMAS * hypot(places[other, 3], places[one, 3])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
-    near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
-    near &= np.logical_or.outer(is_told, is_told)
+    near = (one < other) & (np.abs(places[one, 2] - places[other, 2]) < reach_km) & (is_told[one] | is_told[other])
     ended = set[int]()
-    for i, j in np.argwhere(np.triu(near, 1)).tolist():
+    for i, j in zip(one[near].tolist(), other[near].tolist(), strict=True):
         bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]
         states, covariances = (of_both[[i, j]] for of_both in moments)
         if abs(places[i, 0] - places[j, 0]) > 0.5:  # at both ends they have one echo: as if they were at one

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import apart, spatial_frequency
+from cogradar.shared.signal.array import apart, near_pairs, spatial_frequency
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.response import Response, response_of
 from cogradar.shared.signal.scan import Detections
@@ -62,20 +62,25 @@ class ScanRows(NamedTuple):
             found[m] = -1 if (track := tracks[m]) is None else self.row_of_beam(scan, track)
         return found
 
-    def seen(self, scan: Detections, states: Floats) -> tuple[Bools, Floats, Bools]:
+    def seen(self, scan: Detections, states: Floats, beams: Sequence[int]) -> tuple[Bools, Floats, Bools]:
         """What a scan says of targets, (M, 4).
 
+        beams    : (M,) row of the beams of each target's track; -1: it has none
         detected : (M,) a row that holds the target is over its limit
         power    : (M,) the largest ||v||^2 that an echo from there met; 0: none
-        lit      : (M, tracks) a direction within half a bin of it was lit for the track
+        lit      : (M,) a direction within half a bin of it was lit for its track
         """
-        nus = self._echoes_from(states)
-        heard = self._heard(scan, nus)
-        detected = (self._holds(scan, states, heard) & scan.is_over()).any(axis=1)
-        near = apart(scan.beam_nus, nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
-        lit = (near & (scan.beams >= 0)).any(axis=-1)
-        power = (heard * scan.signature_power).max(axis=1, initial=0.0)
-        return np.asarray(detected), np.asarray(power), np.asarray(lit)
+        nus, rows = self._echoes_from(states)[:, 0], np.asarray(beams, dtype=np.int64)
+        detected, power = np.zeros(nus.size, dtype=np.bool_), np.zeros(nus.size)
+        i, j = near_pairs(nus, scan.nus, self.response.lobe)
+        heard = self.response.loss(scan.nus[j] - nus[i]) ** 2
+        detected[i[self._is_there(scan.ranges_km[j], states[i], heard) & scan.is_over()[j]]] = True
+        np.maximum.at(power, i, heard * scan.signature_power[j])
+        has_track, lit = rows >= 0, np.zeros(nus.size, dtype=np.bool_)
+        own = rows[has_track]
+        near = apart(scan.beam_nus[own], nus[has_track, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
+        lit[has_track] = (near & (scan.beams[own] >= 0)).any(axis=-1)
+        return detected, power, lit
 
     def misses_looks(self, scan: Detections, states: Floats) -> Bools:
         """Whether a look that hears a target, (M, 4), was asked for and not measured, at its range at least, (M,)."""
@@ -101,7 +106,11 @@ class ScanRows(NamedTuple):
         return self.response.loss(scan.nus - nus) ** 2
 
     def _holds(self, scan: Detections, states: Floats, heard: Floats) -> Bools:
-        off = np.abs(scan.ranges_km - np.hypot(states[:, 0], states[:, 2])[:, np.newaxis])
+        return self._is_there(scan.ranges_km, states[:, np.newaxis], heard)
+
+    def _is_there(self, ranges_km: Floats, states: Floats, heard: Floats) -> Bools:
+        """Whether looks that get this share of an echo's power have the range cell of its target, too; (..., 4)."""
+        off = np.abs(ranges_km - np.hypot(states[..., 0], states[..., 2]))
         return np.asarray((heard > 0.0) & (off <= 0.5 * self.response.range_cell_km))
 
     def beam_is_over(self, scan: MessageFields, track: int) -> bool | None:

@@ -18,6 +18,7 @@ _ELEVATIONS, _SHARES = gauss_legendre(8)
 _LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is known of x
 _BEYOND = 3.0  # standard deviations beyond an end at which a direction may be measured
 _NEAR_KM = 1e-3  # keeps a direction finite
+_ROUNDING = 1e-9  # of directions that are compared
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
 
@@ -96,6 +97,25 @@ def apart(nu: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
     """Distance of spatial frequencies, broadcasts. It is circular: -0.5 and 0.5 are one direction of the array."""
     d = np.abs(np.asarray(nu, dtype=np.float64) - np.asarray(other, dtype=np.float64))
     return np.asarray(np.minimum(d, 1.0 - d))
+
+
+def near_pairs(
+    nus: NDArray[np.float64], others: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which directions, (n,), are nearer than `reach` to which others, (m,): pairs (i, j), in this order; (p,) each.
+
+    Cost O((n + m) log m + p): what is far is not compared.
+    """
+    order, wide = np.argsort(others), reach + _ROUNDING
+    turns = np.array([[-1.0], [0.0], [1.0]]) if wide < 0.5 else np.zeros((1, 1))
+    around_nus, half = nus + turns, wide if wide < 0.5 else np.inf
+    first = np.searchsorted(others[order], around_nus - half).ravel()
+    n = np.searchsorted(others[order], around_nus + half, side="right").ravel() - first
+    i, before = np.repeat(np.tile(np.arange(nus.size), turns.size), n), np.repeat(np.cumsum(n) - n - first, n)
+    j = order[np.arange(i.size) - before]
+    is_near = apart(nus[i], others[j]) < reach
+    found = np.lexsort((j[is_near], i[is_near]))
+    return i[is_near][found], j[is_near][found]
 
 
 def around(nu: ArrayLike) -> NDArray[np.float64]:

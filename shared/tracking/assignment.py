@@ -36,6 +36,7 @@ MANEUVER_LOG_ODDS = 1.0  # most log odds of a detection in a track's own looks i
 IN_DOUBT = log(10.0)  # log odds: an assignment that is less probable by less might be true as well
 UNRESOLVED_ABOVE = 0.1  # probability of being in a cell with another's echo from which on a miss there says nothing
 _SIGMAS = 4.0  # of where a track is expected
+_ROUNDING_KM = 1e-6  # of ranges that are compared
 _SAME_ECHO = 3.0  # standard deviations between two directions of one echo
 _TINY, _LEAST_SIGMA = 1e-300, 1e-12
 _NEVER = -1e9
@@ -172,7 +173,8 @@ def assigned(scores: Floats) -> Ints:
 def is_in_doubt(scores: Floats, taken: Ints, own: int) -> bool:
     """Whether another assignment, in which a track has not what is taken, is nearly as probable; of several tracks."""
     m, n = scores.shape
-    gains = np.hstack((scores, np.zeros((m, m))))
+    gains = np.zeros((m, n + m))
+    gains[:, :n] = scores
     best = sum(scores[i, column] for i, column in enumerate(taken.tolist()) if column >= 0)
     gains[own, taken[own] if taken[own] >= 0 else slice(n, None)] = _NEVER
     return bool(best - gains[_best_pairs(gains)].sum() < IN_DOUBT)
@@ -317,17 +319,14 @@ def _separate(tracks: Floats, seen: Floats, order: Ints, lobe: float, cell_km: f
     order   : (n,) the strongest first
     cell_km : width of a range cell
     """
-    columns, is_pair = seen.T.copy(), np.empty((tracks.shape[0], order.size), np.bool_)
-    for i in range(tracks.shape[0]):
-        for j in range(order.size):
-            is_pair[i, j] = _may_be(tracks[i], columns[j], lobe, cell_km)
-    labels, theirs = _labelled(is_pair)
+    starts, pairs = _possible(tracks, seen, lobe, cell_km)
+    labels, theirs = _labelled(starts, pairs, order.size)
     rank, sizes, alone = np.argsort(order), np.bincount(labels, minlength=1), np.full(labels.size, -1)
     for own in range(labels.size):
         if sizes[labels[own]] > 1:
             alone[own] = _COMPETES
             continue
-        found, best = np.flatnonzero(theirs == own), 0.0
+        found, best = pairs[starts[own] : starts[own + 1]], 0.0
         fits, turned, _, _ = _pairs_of(labels[own : own + 1], found, tracks, seen, lobe, cell_km)
         for j in _different(np.argsort(rank[found]), seen[:, found], fits, lobe, cell_km):
             score = max(fits[0, j], turned[0, j])
@@ -337,21 +336,60 @@ def _separate(tracks: Floats, seen: Floats, order: Ints, lobe: float, cell_km: f
 
 
 @kernel
-def _labelled(is_pair: NDArray[np.bool_]) -> tuple[Ints, Ints]:
-    """Which rows and columns of a matrix, (m, n), hang together: the label of each is the first row; -1: none."""
-    m, n = is_pair.shape
-    labels, theirs, waiting = np.full(m, -1), np.full(n, -1), np.empty(m, np.int64)
-    for own in range(m):
-        if labels[own] >= 0:
-            continue
-        labels[own], waiting[0], n_waiting = own, own, 1
-        while n_waiting > 0:
-            n_waiting -= 1
-            for j in np.flatnonzero(is_pair[waiting[n_waiting]] & (theirs < 0)):
-                theirs[j] = own
-                for i in np.flatnonzero(is_pair[:, j] & (labels < 0)):
-                    labels[i], waiting[n_waiting] = own, i
-                    n_waiting += 1
+def _possible(tracks: Floats, seen: Floats, lobe: float, cell_km: float) -> tuple[Ints, Ints]:
+    """Which detections may be of which track (`_may_be`): where each track's begin, (M + 1,), in a list of all,
+    ascending for each track.
+
+    Sorted by range, most of the detections need not be looked at: cost O((M + n) log n + pairs), where ranges are
+    measured. Arguments as of `_separate`.
+    """
+    columns, by_range = seen.T.copy(), np.argsort(seen[1])
+    ranges_km = seen[1][by_range]
+    starts, pairs, n_pair = np.zeros(tracks.shape[0] + 1, np.int64), np.empty(by_range.size + 1, np.int64), 0
+    n_unmeasured = np.searchsorted(ranges_km, 0.0, side="right")  # a look without ranges is one of any gate
+    for i in range(tracks.shape[0]):
+        reach_km = _SIGMAS * tracks[i, 3] + cell_km + _ROUNDING_KM
+        low_km, high_km = tracks[i, 2] - reach_km, tracks[i, 2] + reach_km
+        if tracks[i, 6] == 0.0:  # its looks are of all ranges
+            low_km, high_km = -np.inf, np.inf
+        first = max(np.searchsorted(ranges_km, min(low_km, tracks[i, 5])), n_unmeasured)
+        last = max(np.searchsorted(ranges_km, max(high_km, tracks[i, 6]), side="right"), first)
+        for at in range(n_unmeasured + last - first):
+            j = by_range[at if at < n_unmeasured else at - n_unmeasured + first]
+            if _may_be(tracks[i], columns[j], lobe, cell_km):
+                if n_pair == pairs.size:
+                    pairs = np.append(pairs, pairs)
+                pairs[n_pair], n_pair = j, n_pair + 1
+        pairs[starts[i] : n_pair] = np.sort(pairs[starts[i] : n_pair])
+        starts[i + 1] = n_pair
+    return starts, pairs[:n_pair]
+
+
+@kernel
+def _labelled(starts: Ints, pairs: Ints, n: int) -> tuple[Ints, Ints]:
+    """Which tracks and detections, (n,), of the pairs of `_possible` hang together: the label of each is the first
+    track; -1: none.
+    """
+    labels, theirs = (
+        np.arange(starts.size - 1),
+        np.full(n, -1),
+    )  # while it goes on, a track that each hangs together with
+    for i in range(labels.size):
+        for j in pairs[starts[i] : starts[i + 1]]:
+            if theirs[j] < 0:
+                theirs[j] = i
+                continue
+            one, other = i, theirs[j]
+            while labels[one] != one:
+                one = labels[one]
+            while labels[other] != other:
+                other = labels[other]
+            labels[max(one, other)] = min(one, other)
+    for i in range(labels.size):  # those before it have their own by now
+        labels[i] = labels[labels[i]]
+    for j in range(n):
+        if theirs[j] >= 0:
+            theirs[j] = labels[theirs[j]]
     return labels, theirs
 
 

@@ -214,13 +214,21 @@ def _own_looks(scan: Detections, given: tuple[Response, Gate]) -> _OwnLooks:
 def _rows_in(nus: Floats, ranges_km: Floats, lit: Floats, gates: Floats) -> tuple[Ints, Ints]:
     """The rows of looks in these directions, (M, L), NaN for none, and in gates, (M, 2); as of `_OwnLooks`."""
     ends, rows, n = np.zeros(lit.shape[0] + 1, np.int64), np.empty(nus.size + lit.size, np.int64), 0
+    order = np.argsort(nus)
+    ordered = nus[order]
     for m in range(lit.shape[0]):
-        for i in np.flatnonzero(_is_among(nus, lit[m])):
-            if ranges_km[i] == 0.0 or gates[m, 0] < ranges_km[i] < gates[m, 1]:
-                if n == rows.size:
-                    rows = np.append(rows, rows)
-                rows[n], n = i, n + 1
-        ends[m + 1] = n
+        for nu in lit[m]:
+            if np.isnan(nu):
+                continue
+            first, last = np.searchsorted(ordered, nu), np.searchsorted(ordered, nu, side="right")
+            for i in order[first:last]:
+                if ranges_km[i] == 0.0 or gates[m, 0] < ranges_km[i] < gates[m, 1]:
+                    if n == rows.size:
+                        rows = np.append(rows, rows)
+                    rows[n], n = i, n + 1
+        own = np.unique(rows[ends[m] : n])
+        ends[m + 1] = n = ends[m] + own.size
+        rows[ends[m] : n] = own
     return ends, rows[:n]
 
 
@@ -307,15 +315,6 @@ def _undetected(rows: Ints, nus: Floats, statistic: Floats, limits: Floats) -> I
         if statistic[j] >= limits[j]:
             is_left &= nus[rows] != nus[j]
     return rows[is_left]
-
-
-@kernel
-def _is_among(nus: Floats, some: Floats) -> NDArray[np.bool_]:
-    """Whether each direction, (n,), is one of a few, (c,); (n,)."""
-    found = np.zeros(nus.size, np.bool_)
-    for nu in some:
-        found |= nus == nu
-    return found
 
 
 def _gate(response: Response, ranges_km: Gate, asked_km: Sequence[float]) -> Gate:

@@ -110,8 +110,9 @@ class Scorer:
         sent_k: int,
         accelerations: Sequence[float | None],
     ) -> list[TargetDwell]:
-        seen = None if truth is None else self._seen(scan, truth)
         sent, places, rows = self._waveforms.get(sent_k), _rows_of(scan), []
+        beams = [-1 if track is None else places[track] for track in tracks]
+        seen = None if truth is None else self._seen(scan, truth, beams)
         if sent is not None and _rows_of(sent) != places:  # it is not known which waveform was radiated
             sent = None
         for target, track in enumerate(tracks):
@@ -123,7 +124,7 @@ class Scorer:
             if seen is None:
                 detected = False if track is None else self._scan_rows.beam_is_over(scan, track)
             elif true_bin is not None:
-                detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
+                detected, power, hit = seen[0][target], seen[1][target], seen[2][target]
             plan, best_bin = (None, None) if track is None else (self._now[track], best_bins[track])
             may_be_out = true_bin is not None and (track is not None or target in self._pairing.begun)
             is_out = may_be_out and (best_bin is None or true_bin is None or abs(best_bin - true_bin) >= self._out_by)
@@ -173,13 +174,16 @@ class Scorer:
         found = acceleration_g(before[1], velocities, self._dt_s * (truth["t"] - before[0]))
         return [None if isnan(value) else value for value in found.tolist()]
 
-    def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[list[bool | None], Any, Any]:
+    def _seen(
+        self, scan: MessageFields, truth: MessageFields, beams: Sequence[int]
+    ) -> tuple[list[bool | None], list[float], list[bool]]:
         """Of each target: whether a cell that holds it was over its limit, for any track. Then the largest ||v||^2 that
-        an echo from there met, 0: none tested, and whether a direction within half a bin was lit for each track. The
-        first is None if a look that would have heard it was not measured, whatever others found.
+        an echo from there met, 0: none tested, and whether a direction within half a bin was lit for its track, whose
+        row of the beams is given. The first is None if a look that would have heard it was not measured, whatever
+        others found.
         """
         states, rows = _measured(truth), self._scan_rows.read(scan)
-        detected, met, lit = self._scan_rows.seen(rows, states)
+        detected, met, lit = self._scan_rows.seen(rows, states, beams)
         is_open = self._scan_rows.misses_looks(rows, states)
         known = [None if is_one else found for is_one, found in zip(is_open.tolist(), detected.tolist(), strict=True)]
         return known, met.tolist(), lit.tolist()

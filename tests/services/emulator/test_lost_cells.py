@@ -130,7 +130,7 @@ def test_a_target_whose_look_was_not_measured_counts_neither_way() -> None:
     x, y = (CELL + 0.5) * np.sqrt(1.0 - 4.0 * NU**2), (CELL + 0.5) * 2.0 * NU
     states = np.array([[x, 0.0, y, 0.0]])
     whole = detections_of(MODEL, _scan(transmission(RADAR, waveform), waveform, ()))
-    assert rows.seen(whole, states)[0].tolist() == [True]
+    assert rows.seen(whole, states, [-1])[0].tolist() == [True]
     assert rows.misses_looks(whole, states).tolist() == [False]
     assert rows.misses_looks(whole._replace(unmeasured=np.array([NU + 1e-3])), states).tolist() == [True]
     assert rows.misses_looks(whole._replace(lost_km=np.array([CELL + 0.5])), states).tolist() == [True]

@@ -15,6 +15,7 @@ from cogradar.shared.signal.array import (
     bin_centres,
     in_plane,
     mean_direction,
+    near_pairs,
     on_ground,
     spatial_frequency,
     steering_vector,
@@ -130,3 +131,13 @@ def test_on_the_ground_is_what_heights_leave_of_a_position_in_the_plane(x_km: fl
     assert ground[1] == pytest.approx(vx.mean(), rel=0.02)
     assert ground[2:].tolist() == mean[2:].tolist()
     np.testing.assert_allclose(on_ground(mean, covariance, 0.0)[1], covariance, atol=1e-15)
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.01, 0.3, 0.5])
+def test_pairs_of_near_directions_are_those_of_all_pairs(reach: float) -> None:
+    rng = np.random.default_rng(1)
+    nus, others = (np.append(rng.uniform(-0.5, 0.5, n), [-0.5, 0.5, 0.0]) for n in (40, 60))
+    i, j = near_pairs(nus, others, reach)
+    expected = np.argwhere(apart(nus[:, np.newaxis], others) < reach)
+    assert np.column_stack((i, j)).tolist() == expected.tolist()
+    assert [found.size for found in near_pairs(nus, np.empty(0), reach)] == [0, 0]
