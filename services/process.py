@@ -33,6 +33,7 @@ from cogradar.shared.wire.zenoh_bus import ZenohBus
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
 HOLDER_POLL_S = 0.1
 SETTLE_S = 0.1  # until a claim that is shown at another router is seen, too
+NEW_OBJECTS = 20_000  # from one search for unreachable ones to the next: a message of many parts is no reason for some
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
@@ -108,6 +109,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
         log.info("connected to %s", connect)
         gc.collect()
+        gc.set_threshold(NEW_OBJECTS)
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         beat = _both(Heartbeat(bus.is_connected, core), validity.tell)
         serve(core, bus, stop, bus.meter, _beat(beat, service.role, claim))
