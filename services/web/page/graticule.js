@@ -1,4 +1,4 @@
-// Parallels and meridians around the radar, where north is up.
+// The map around the radar, where north is up: parallels and meridians, coasts and borders, airports.
 
 import { color } from "./palette.js";
 
@@ -49,6 +49,50 @@ export function graticule({ context, at, scale, width, height }, site) {
     draw(context, line);
     label(context, line, ([, y]) => Math.abs(y - 12), hemisphere(((longitude + 540) % 360) - 180, "E", "W"), [3, 0], width);
   }
+}
+
+// Coasts and borders, then airports; without packages of data the radar has none.
+export function surroundings({ context, at, scale, width, height }, radar) {
+  if (!radar.surroundings) return;
+  if (placed.radar !== radar) place(radar);
+  const [x0, y0] = at(0, 0);
+  context.strokeStyle = color("ink");
+  context.globalAlpha = 0.6;
+  context.lineWidth = 1.25;
+  context.beginPath();
+  for (const line of placed.lines) line.forEach(([east, north], i) => context[i ? "lineTo" : "moveTo"](x0 + east * scale, y0 - north * scale));
+  context.stroke();
+  context.globalAlpha = 1;
+  context.fillStyle = color("muted");
+  context.font = `11px ${color("font")}`;
+  context.textAlign = "left";
+  for (const { code, east, north } of placed.airports) {
+    const [x, y] = [x0 + east * scale, y0 - north * scale];
+    if (x < 0 || x > width || y < 0 || y > height) continue;
+    context.beginPath();
+    airport(context, x, y);
+    context.stroke();
+    if (x + 6 + context.measureText(code).width < width) context.fillText(code, x + 6, y + 4);
+  }
+}
+
+// A square with its runway.
+export function airport(context, x, y) {
+  context.rect(x - 3, y - 3, 6, 6);
+  context.moveTo(x - 5, y + 5);
+  context.lineTo(x + 5, y - 5);
+}
+
+const placed = { radar: null, lines: [], airports: [] }; // km east and north of the site
+
+function place(radar) {
+  const km = (latitude, longitude) => seen(radar.site, latitude, longitude);
+  placed.radar = radar;
+  placed.lines = radar.surroundings.lines.map((line) => line.map((point) => km(...point)));
+  placed.airports = radar.surroundings.airports.map(({ code, latitude_deg, longitude_deg }) => {
+    const [east, north] = km(latitude_deg, longitude_deg);
+    return { code, east, north };
+  });
 }
 
 // Round degrees between two.

@@ -1,5 +1,6 @@
 // The marks of the scope and what they mean.
 
+import { airport } from "./graticule.js";
 import { color, trace } from "./palette.js";
 
 const TAU = 2 * Math.PI;
@@ -40,6 +41,10 @@ OCCURRING.double = [
 ];
 OCCURRING.look = [
   ["commanded look", (c) => { c.setLineDash([6, 2, 1, 2]); stroke(c, "accent", 2, () => { c.moveTo(-6, 8); c.lineTo(4, -8); }); }],
+];
+OCCURRING.map = [
+  ["coast, border", (c) => { c.globalAlpha = 0.7; stroke(c, "muted", 1, () => { c.moveTo(-8, 4); for (const [x, y] of [[-4, 1], [-2, 4], [2, -3], [5, -1], [8, -6]]) c.lineTo(x, y); }); c.globalAlpha = 1; }],
+  ["airport", (c) => stroke(c, "muted", 1, () => airport(c, 0, 0))],
 ];
 OCCURRING.pause = [
   ["transmission paused", (c) => stroke(c, "alarm", 4, () => { for (const x of [-4, 4]) { c.moveTo(x, 7); c.lineTo(x, -7); } })],

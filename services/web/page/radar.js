@@ -51,6 +51,7 @@ export class Radar {
     if (told?.looks.length) this.occurred.add("look");
     if (told?.isPaused) this.occurred.add("pause");
     if (this.radar?.is_unknown) this.occurred.add("unknown");
+    if (this.radar?.surroundings && view.north) this.occurred.add("map");
     const isJammed = Boolean(this.radar?.jammers?.length);
     if (isJammed) this.occurred.add("jammers");
     if (isJammed || dwell?.cells?.blind?.some(Boolean)) this.occurred.add("blind");

@@ -1,7 +1,7 @@
 // The scope: the half-plane before the radar. A canvas: 100 tracks are drawn in some 5 ms, which the charts' library
 // needs 170 ms for.
 
-import { graticule } from "./graticule.js";
+import { graticule, surroundings } from "./graticule.js";
 import { fit, radians, rings, wedge } from "./scope_frame.js";
 import { color, colorOf, symbolOf, trace } from "./palette.js";
 import { commanded } from "./scope_orders.js";
@@ -36,6 +36,7 @@ export class Scope {
     if (dwell) jammers(frame, picture);
     if (dwell) beams(frame, picture);
     commanded(frame, picture);
+    if (picture.isNorthUp) surroundings(frame, picture.radar);
     rings(frame);
     if (dwell) {
       rim(frame, picture);

@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, Response
 from cogradar.services.metrics.queries import run_row
 from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
+from cogradar.services.web.maps.surroundings import surroundings
 from cogradar.services.web.problem_documents import bad, missing
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.shared.scenario.limits import NO_END
@@ -98,6 +99,12 @@ def radar(_: Request, question: Question) -> Response:
     return JSONResponse(_of_run(known), headers=question.headers)
 
 
+def _around(site: SiteSection, range_km: float) -> dict[str, Any] | None:
+    """Airports and lines of a map; a scope that is wider than high shows some of what is beyond the range."""
+    found = surroundings(site.latitude_deg, site.longitude_deg, 2.0 * range_km)
+    return None if found is None else {"airports": [one._asdict() for one in found.airports], "lines": found.lines}
+
+
 def _of_run(known: Facts) -> dict[str, Any]:
     row, radar = known.row, known.radar
     inner = 0.5 * (known.centres[1:] + known.centres[:-1])
@@ -130,4 +137,5 @@ def _of_run(known: Facts) -> dict[str, Any]:
         ],
         "rule": radar.planner.rule,
         "site": known.site.model_dump() if known.site is not None else None,
+        "surroundings": None if known.site is None else _around(known.site, radar.acquisition.range_max_km),
     }

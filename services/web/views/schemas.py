@@ -198,6 +198,24 @@ class Site(Document):
     begin_utc: str | None
 
 
+class Airport(Document):
+    """An airport with flights that are sold."""
+
+    code: str = Field(description="IATA.")
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+
+
+class Surroundings(Document):
+    """What a map shows around the site, within twice the radar's range."""
+
+    airports: list[Airport] = Field(max_length=60, description="The nearest first.")
+    lines: list[list[tuple[float, float]]] = Field(
+        description="Coasts and borders, Natural Earth 1:10m: latitude and longitude of points, degrees."
+    )
+
+
 class Radar(Document):
     """What does not change in a run, and its status."""
 
@@ -222,6 +240,9 @@ class Radar(Document):
     jammers: list[Jammer] = Field(description="Of a simulation.")
     rule: str = Field(description="Among which bins a track chooses: `belief` or `all`.")
     site: Site | None
+    surroundings: Surroundings | None = Field(
+        description="null without a site, or without the packages of `cogradar[map]`."
+    )
 
 
 class Course(Document):

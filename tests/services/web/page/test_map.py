@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from cogradar.services.skies.place import Place
 from cogradar.shared.scenario.scenario import SiteSection
@@ -86,6 +86,27 @@ def test_lines_of_latitude_and_longitude_are_where_they_are(unknown: str, show: 
     )
     expected = [NORTHWARD.seen(*place)[::-1] for place in places]
     assert np.array(said) == pytest.approx(np.array(expected), abs=0.1)
+
+
+def test_airports_and_borders_are_on_the_map_if_there_are_data(unknown: str, show: Open) -> None:
+    """The site is near Munich: its airport is 60 km away, and borders cross the map."""
+
+    def without(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json=answer.json() | {"surroundings": None})
+
+    address = f"{unknown}/?run=sited&dwell=8&north=1"
+    bare = show(address, before=lambda page: page.route("**/radar", without))
+    page = show(address)
+    for one in (page, bare):
+        expect(one.locator("#dwell")).to_have_text("8")
+        expect(one.locator("#legend")).to_contain_text("detected cell")
+    expect(page.locator("#legend")).to_contain_text("airport")
+    expect(page.locator("#legend")).to_contain_text("coast, border")
+    expect(bare.locator("#legend")).not_to_contain_text("airport")
+    assert inked(page) > inked(bare)
+    page.keyboard.press("n")  # the scope by itself is no map
+    until(page, "!location.search.includes('north=1')")
 
 
 def test_without_a_site_north_is_not_known(unknown: str, show: Open) -> None:
