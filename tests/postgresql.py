@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from itertools import count
 from pathlib import Path
 
@@ -38,18 +39,48 @@ class Server:
             file.writelines(f"{name} = {value}\n" for name, value in _FAST.items())
             file.write(f"unix_socket_directories = '{folder}'\n")
 
+    def configure(self, **settings: str) -> None:
+        """Settings of its next start."""
+        with (self._folder / "data" / "postgresql.conf").open("a") as file:
+            file.writelines(f"{name} = '{value}'\n" for name, value in settings.items())
+
+    def keep(self, name: str, text: str, mode: int = 0o600) -> Path:
+        """Write a file that is the server's own."""
+        file = self._folder / "data" / name
+        file.write_text(text)
+        file.chmod(mode)
+        if self._user is not None:
+            shutil.chown(file, self._user, self._user)
+        return file
+
     def start(self) -> None:
         """Start it, and wait until it answers."""
         self._run("pg_ctl", "-w", "-l", str(self._folder / "log"), "start")
+
+    def promote(self) -> None:
+        """Let a hot standby be a server of its own."""
+        self._run("pg_ctl", "-w", "promote")
+
+    def standby(self, folder: Path) -> "Server":
+        """A hot standby of this server, which is not started yet."""
+        copied = copy(self)
+        copied._folder = folder
+        if self._user is not None:
+            shutil.chown(folder, self._user)
+        copied._run("pg_basebackup", "-R", "-X", "stream", "-c", "fast", "-h", str(self._folder), "-U", "radar")
+        copied.configure(unix_socket_directories=str(folder))
+        return copied
 
     def stop(self, mode: str = "fast") -> None:
         """Stop it; "immediate" as if it was killed."""
         self._run("pg_ctl", "-w", "-m", mode, "stop")
 
-    def url(self, schema: str | None = None) -> str:
-        """The address of a store; a new one if no schema is named."""
+    def url(self, schema: str | None = None, *standbys: "Server") -> str:
+        """The address of a store; a new one if no schema is named. With standbys: of the one that can be written."""
         name = schema or f"s{next(self._schemas)}"
-        return f"postgresql://radar@/postgres?host={self._folder}&schema={name}"
+        hosts = ",".join(str(one._folder) for one in (self, *standbys))
+        writable = "&target_session_attrs=read-write" if standbys else ""
+        return f"postgresql://radar@/postgres?host={hosts}{writable}&schema={name}"
 
     def _run(self, program: str, *arguments: str) -> None:
         asked = [str(self._programs / program), "-D", str(self._folder / "data"), *arguments]

@@ -135,6 +135,11 @@ class PostgresqlConnection:
         if self._read_only:
             db.execute("SET default_transaction_read_only TO on")
             return
+        if db.info.parameter_status("in_hot_standby") == "on":  # it may be about to be promoted
+            raise psycopg.OperationalError(
+                "a hot standby, which cannot be written: name its primary, or all servers with "
+                "target_session_attrs=read-write"
+            )
         db.execute(_SESSION)
         if self._lease_s:
             db.execute(self._lease)
