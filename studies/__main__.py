@@ -144,7 +144,7 @@ def secured(
 
 @app.command()
 def crowd(into: IntoOption = None, as_json: JsonOption = False) -> None:
-    """Measure what 100 and 300 tracks cost: processor and memory, in real time and in lockstep."""
+    """Measure what 100, 300 and 1000 tracks cost: processor and memory, in real time and in lockstep."""
     from studies import crowd as study
     from studies import page
 

@@ -10,8 +10,9 @@ from typing import Self
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.readers.report import Report, Tally, Why
 from cogradar.services.skies.readers.table import Unread, seconds
+from cogradar.shared.scenario.limits import MAX_TARGETS
 
-MOST_AIRCRAFT = 999  # a larger number is the name of one
+MOST_AIRCRAFT = MAX_TARGETS  # a larger number is the name of one
 
 
 @dataclass(frozen=True)
@@ -73,5 +74,7 @@ class Selection:
 def count(aircraft: str | None) -> int | None:
     """The number of aircraft that a text says; None: it says none."""
     text = (aircraft or "").strip()
-    is_count = text.isascii() and text.isdecimal() and len(text) <= 3 and 1 <= int(text) <= MOST_AIRCRAFT
+    is_count = (
+        text.isascii() and text.isdecimal() and len(text) <= len(str(MOST_AIRCRAFT)) and 1 <= int(text) <= MOST_AIRCRAFT
+    )
     return int(text) if is_count else None

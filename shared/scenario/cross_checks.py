@@ -9,11 +9,14 @@ from cogradar.shared.scenario.combinations import KEYS, UNKNOWN, check_combinati
 from cogradar.shared.scenario.faults import Fault, Loc
 from cogradar.shared.scenario.limits import (
     ALERTS,
+    MAX_CELLS,
+    MAX_MESSAGE_BYTES,
     MAX_PLANNER_BYTES,
     MIXTURE_STATES,
     SECONDS_PER_HOUR,
     beliefs_bytes,
     tree_bytes,
+    waveform_bytes,
 )
 from cogradar.shared.scenario.tables import MOST_TRACKS, with_defaults
 from cogradar.shared.signal.array import angle_bin, in_plane, spatial_frequency
@@ -130,6 +133,19 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int | None, tracks: int) ->
         )
 
 
+def check_waveform(n_tx: int, n_bin: int, cells: str, tracks: int) -> None:
+    """Raise ValueError if a waveform that lights all that tracks ask for could be longer than a message.
+
+    cells : bins, which several tracks may share, or steered ones
+    """
+    n_column = MAX_CELLS * tracks if cells == "steered" else min(MAX_CELLS * tracks, n_bin)
+    if (n_byte := waveform_bytes(n_tx, n_column, tracks)) > MAX_MESSAGE_BYTES:
+        raise ValueError(
+            f"a waveform of tracks = {tracks} with array.n_tx = {n_tx} may need {n_byte / 2**20:.1f} MiB, must be at"
+            f" most {MAX_MESSAGE_BYTES >> 20} MiB"
+        )
+
+
 def check_false_tracks(per_hour: float, dt_s: float) -> None:
     """Raise ValueError for more false tracks than the search has detections of noise."""
     most = ALERTS * SECONDS_PER_HOUR / dt_s
@@ -198,6 +214,11 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ),
         "radar",
         ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", f"radar.{LENGTH}"),
+    ),
+    (
+        lambda n_tx, n_bin, cells, radar: check_waveform(n_tx, n_bin, cells, _most_tracks(radar)),
+        "radar",
+        ("radar.array.n_tx", "radar.array.n_bin", "radar.receiver.cells", f"radar.{LENGTH}"),
     ),
     (
         lambda *given: check_combination(given[-1]),

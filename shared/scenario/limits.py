@@ -13,6 +13,11 @@ MAX_DWELLS = 1_000_000  # of a run with an end, whose every dwell is kept
 NO_END = 2**31 - 1
 UNLIMITED = "unlimited"  # ... as people read and write it
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
+MAX_TRACKS = 1000  # of a run at once
+MAX_TARGETS = 2 * MAX_TRACKS  # of a world, of which some come when others have gone
+MAX_MESSAGE_BYTES = 4 << 20
+MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
+_ROW_BYTES = 256  # of a track in a waveform, beside what its beams need in the factor
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
 MAX_TURNS = 3000  # of all targets of a world: each takes some microseconds to check
 MAX_POSITION_KM = 10_000.0  # per axis, of a target
@@ -68,6 +73,11 @@ def beliefs_bytes(n_state: int, n_target: int) -> int:
     Three per track: now, at its last detection, and as it will be before the next scan.
     """
     return 32 * n_state * (3 * n_target + 8)
+
+
+def waveform_bytes(n_tx: int, n_column: int, n_track: int) -> int:
+    """Most that a waveform of so many tracks takes whose factor has these columns, one for each direction."""
+    return 8 * n_tx * n_column + _ROW_BYTES * n_track
 
 
 def dwell_s(radar: "RadarConfig") -> float:

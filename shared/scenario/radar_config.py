@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from cogradar.shared.scenario.limits import MAX_TRACKS
 from cogradar.shared.scenario.plugins.kinds import BELIEF, OBJECTIVE, RULE
 from cogradar.shared.scenario.plugins.names import OWN, PATTERN, Chosen, is_own
 from cogradar.shared.scenario.section import Section
@@ -249,11 +250,11 @@ class RadarConfig(Section):
     """The table `[radar]`."""
 
     tracks: Annotated[
-        Annotated[int, Field(ge=1, le=300)] | Literal["unknown"],
+        Annotated[int, Field(ge=1, le=MAX_TRACKS)] | Literal["unknown"],
         Field(description="number of targets M, known to the radar as in the paper; or unknown to it"),
     ]
     max_tracks: Annotated[
-        int | None, Field(ge=1, le=300, description="most of an unknown number at once; 100 if it is left out")
+        int | None, Field(ge=1, le=MAX_TRACKS, description="most of an unknown number at once; 100 if it is left out")
     ] = None
     fidelity: Literal["paper", "robust", "best", "best-range"]
     array: ArraySection

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import FailFast, Field, field_validator, model_validator
 
-from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MAX_TURNS
+from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MAX_TARGETS, MAX_TURNS
 from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, SIGNAL
 from cogradar.shared.scenario.plugins.names import Chosen
 from cogradar.shared.scenario.section import Section, named_in
@@ -368,7 +368,7 @@ class WorldConfig(Section):
     array: WorldArraySection | None = None
     jammers: Annotated[list[JammerSection], FailFast(), Field(max_length=100)] = Field(default_factory=list)
     clutter: ClutterSection | None = None
-    targets: Annotated[list[TargetSection], FailFast(), Field(min_length=1, max_length=1000)]
+    targets: Annotated[list[TargetSection], FailFast(), Field(min_length=1, max_length=MAX_TARGETS)]
     repeat_s: Annotated[
         float | None,
         Field(

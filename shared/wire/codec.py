@@ -17,17 +17,17 @@ from cogradar.shared.protocol.messages import SCHEMA, Message
 from cogradar.shared.protocol.roster import Compared
 from cogradar.shared.protocol.topics import BY_NAME, name_of
 from cogradar.shared.scenario.faults import printable
-from cogradar.shared.scenario.limits import MAX_TURNS
+from cogradar.shared.scenario.limits import MAX_MESSAGE_BYTES, MAX_TARGETS, MAX_TURNS
 from cogradar.shared.scenario.trajectories.rows import Rows
 
-MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
+MAX_BYTES = MAX_MESSAGE_BYTES  # of one message; scenarios whose waveforms could be longer are refused
 MAX_LOT = 64  # messages that travel together
 # Of one message, beyond any that there is: what is more is refused before it is unpacked and checked, piece by piece.
 MAX_KEYS = 128  # of a map
-MAX_ARRAYS = 2000  # a trajectory of a target is one
-MAX_MAPS = MAX_TURNS + 2000  # a target is one
-MAX_LISTS = 10_000  # a state of a target is one
-MAX_ITEMS = 50_000  # in all lists
+MAX_ARRAYS = MAX_TARGETS  # a trajectory of a target is one
+MAX_MAPS = MAX_TURNS + MAX_TARGETS + 1000  # a turn, and a target, is one
+MAX_LISTS = 5 * MAX_TARGETS  # a state of a target is one
+MAX_ITEMS = 25 * MAX_TARGETS  # in all lists
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
 _ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; a message is a map
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}

@@ -98,7 +98,7 @@ def test_the_reference_has_what_the_program_has() -> None:
     assert "| `p_fa` | number | 1e-09 to 0.1 |" in keys
     assert "| `filter` | one of `likelihood`, `published`, `gaussian`, or [your own]" in keys
     assert "| km/s² | as the radar assumes |" in keys
-    assert "| `tracks` | whole number or `unknown` | 1 to 300 |" in keys
+    assert "| `tracks` | whole number or `unknown` | 1 to 1000 |" in keys
     assert "| `share` | number or `auto` | above 0 to below 1 | `auto` |" in keys
     assert "None" not in keys
     assert "| `snr_db` | real | dB |" in PARTS["store"]()

@@ -9,11 +9,15 @@ import pytest
 from geographiclib.geodesic import Geodesic
 
 from cogradar.services.errors import BadInput
+from cogradar.services.runs.in_process import play
 from cogradar.services.skies.make import Asked, write
 from cogradar.services.skies.place import Place
 from cogradar.services.skies.recorded import recorded
 from cogradar.services.skies.traffic import traffic
+from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.limits import MAX_TRACKS
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.world.targets import Flights
 
@@ -44,6 +48,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(asked(), folder / "positions.csv", force=False)
     write(asked(folder / "positions.csv"), folder / "again.toml", force=False)
     return folder
+
+
+@pytest.mark.slow
+def test_a_radar_finds_and_keeps_most_of_a_thousand_aircraft(tmp_path: Path) -> None:
+    """300 tracks were the most, and 999 aircraft."""
+    write(Asked("1000", 1, 1, None, None, 0.0, RANGE_KM), tmp_path / "crowd.toml", force=False)
+    scenario = load(str(tmp_path / "crowd.toml"), [f"radar.max_tracks={MAX_TRACKS}"])
+    done = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 20))
+    assert done.run["status"] == "complete"
+    assert sum(row["tracked"] for row in done.targets) > 750
 
 
 def test_made_up_aircraft_come_and_go_within_the_edge(folder: Path) -> None:

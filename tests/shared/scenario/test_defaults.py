@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from cogradar.shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse, parse_radar
+from cogradar.shared.scenario.limits import MAX_TRACKS
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.tables import REACQUIRE_BELOW
 
@@ -99,7 +100,7 @@ def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said(
         ),
         ([*UNKNOWN, "radar.search.share=1.0"], 'radar.search.share=1.0: must be a number > 0 and < 1 or "auto"'),
         ([*UNKNOWN, "radar.search.share=all"], 'radar.search.share=all: must be a number > 0 and < 1 or "auto"'),
-        ([*UNKNOWN, "radar.max_tracks=0"], "radar.max_tracks=0: must be an integer >= 1 and <= 300"),
+        ([*UNKNOWN, "radar.max_tracks=0"], "radar.max_tracks=0: must be an integer >= 1 and <= 1000"),
     ],
 )
 def test_what_tracks_of_an_unknown_number_need_and_others_must_not_have(settings: list[str], expected: str) -> None:
@@ -118,6 +119,18 @@ def test_the_most_tracks_there_may_be() -> None:
     known = load("smoke").radar
     assert (known.most_tracks, known.max_tracks) == (2, None)
     assert RadarConfig.model_validate(known.model_dump()) == known
+
+
+def test_a_waveform_of_all_tracks_must_fit_into_a_message() -> None:
+    """A thousand tracks of 512 antennas would end the allocator."""
+    most, many = [f"radar.max_tracks={MAX_TRACKS}"], ["radar.array.n_tx=512", "radar.array.n_rx=512"]
+    assert load("traffic", most).radar.most_tracks == MAX_TRACKS
+    words = rf"a waveform of tracks = {MAX_TRACKS} with array\.n_tx = 512 may need 12\.0 MiB, must be at most 4 MiB"
+    with pytest.raises(ScenarioError, match=words):
+        load("traffic", most + many)
+    assert load("traffic", ["radar.max_tracks=300", *many]).radar.array.n_tx == 512
+    with pytest.raises(ScenarioError, match=f"{MAX_TRACKS}"):
+        load("traffic", [f"radar.max_tracks={MAX_TRACKS + 1}"])
 
 
 def test_the_world_is_as_the_radar_assumes_unless_it_is_said() -> None:

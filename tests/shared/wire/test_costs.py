@@ -13,18 +13,21 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings, target
 from hypothesis import strategies as st
 
-from cogradar.shared.protocol.messages import SCHEMA, RunStart
+from cogradar.shared.protocol.messages import SCHEMA, RunStart, Scan, Waveform
+from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, announced_roster
 from cogradar.shared.protocol.topics import TOPICS
 from cogradar.shared.scenario.document import MAX_FILE_BYTES, MAX_TEXT, ScenarioError
 from cogradar.shared.scenario.faults import MAX_EXPLAINED
 from cogradar.shared.scenario.files import load, parse
-from cogradar.shared.scenario.limits import MAX_ROWS, MAX_TURNS
+from cogradar.shared.scenario.limits import MAX_CELLS, MAX_ROWS, MAX_TARGETS, MAX_TRACKS, MAX_TURNS
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.trajectories.csv_files import trajectory
+from cogradar.shared.signal.array import angle_bin
 from cogradar.shared.wire.codec import MAX_BYTES, BadMessage, decode, encode, split
 from tests.samples import sample
 
@@ -81,9 +84,9 @@ MESSAGES: dict[str, Callable[[], bytes]] = {
     "keys of all tables": lambda: _envelope(
         BODY | {"scenario": {name: _keys(100) for name in ("radar", "world", "site")}}
     ),
-    "keys of all targets": lambda: _message(targets=[TARGET | _keys(100)] * 900),
-    "wrong values": lambda: _message(targets=[{key: [] for key in TARGET} for _ in range(1000)]),
-    "missing values": lambda: _message(targets=[{}] * 1000),
+    "keys of all targets": lambda: _message(targets=[TARGET | _keys(100)] * (MAX_TARGETS - 100)),
+    "wrong values": lambda: _message(targets=[{key: [] for key in TARGET} for _ in range(MAX_TARGETS)]),
+    "missing values": lambda: _message(targets=[{}] * MAX_TARGETS),
     "too many targets": lambda: _message(targets=[{}] * 4_000_000),
     "nested lists": lambda: _message(targets=[[[]] * 1000] * 4000),
     "wrong rows": lambda: _message(targets=[TARGET | {"state": None, "trajectory": [["a", "b", "c"]] * 90_000}]),
@@ -109,12 +112,49 @@ def _turns(n: int) -> list[dict[str, Any]]:
     return [{"from_s": 2.0 * i, "to_s": 2.0 * i + 1.0} | TURN for i in range(n)]
 
 
+def _roster() -> Roster:
+    """As many tracks as there may be."""
+    rng, n = np.random.default_rng(1), MAX_TRACKS
+    one = np.ones(n, np.int32)
+    ids, expected = np.arange(n, dtype=np.int32), rng.uniform(0.1, 0.5, (n, EXPECTED))
+    births = rng.uniform(0.1, 0.5, (n, BIRTH))
+    return announced_roster(n).model_copy(
+        update={"ids": ids, "confirmed": one, "born_k": one, "expected": expected, "births": births}
+    )
+
+
+def _looks() -> dict[str, Any]:
+    """The looks of all tracks, as waveforms and scans have them."""
+    nus = np.linspace(-0.5, 0.5, MAX_TRACKS * MAX_CELLS).reshape(MAX_TRACKS, MAX_CELLS)
+    return {"beams": angle_bin(nus, 100).astype(np.int32), "gates": np.tile([10.0, 20.0], (MAX_TRACKS, 1)), "nus": nus}
+
+
+def _waveform() -> bytes:
+    looks, n_tx = _looks(), 160  # more antennas are refused with so many tracks
+    factor = np.ones((n_tx, MAX_TRACKS * MAX_CELLS), np.complex64)
+    sent = {"factor": factor, "shares": np.ones(looks["beams"].shape), "late": np.zeros(MAX_TRACKS, np.int32)}
+    return encode(sample(Waveform).model_copy(update=looks | sent | {"roster": _roster()}))
+
+
+def _scan() -> bytes:
+    looks = _looks()
+    rows = np.ones(MAX_TRACKS * MAX_CELLS)
+    names = ("statistic", "sigma_hat", "signature_power", "limits", "ranges_km", "nu_sigmas")
+    nus = looks.pop("nus")
+    measured: dict[str, Any] = dict.fromkeys(names, rows)
+    measured |= {"bins": looks["beams"].ravel(), "alpha_hat": rows.astype(np.complex64), "nus": nus.ravel()}
+    measured |= {"nu_hats": nus.ravel(), "beam_nus": nus, "roster": _roster()}
+    return encode(sample(Scan).model_copy(update=looks | measured))
+
+
 VALID: dict[str, Callable[[], bytes]] = {
+    "a waveform": _waveform,
+    "a scan": _scan,
     "rows": lambda: _whole([TARGET | {"state": None, "trajectory": _rows(MAX_ROWS)}]),
     "targets and turns": lambda: _whole(
         [TARGET]
         + [TARGET | {"born_s": 5.0, "turns": _turns(1000)}] * (MAX_TURNS // 1000)
-        + [TARGET | {"born_s": 5.0}] * (999 - MAX_TURNS // 1000)
+        + [TARGET | {"born_s": 5.0}] * (MAX_TARGETS - 1 - MAX_TURNS // 1000)
     ),
 }
 FILES: dict[str, Callable[[], str]] = {
