@@ -237,7 +237,7 @@ def _joined(role: Role, start: Start, core: Sharing, session: Session, check: Ca
         check()
         time.sleep(HOLDER_POLL_S)
     pool.join(check)
-    if others := pool.others():  # one that began at the same time
+    if others := pool.others(is_shown=True):  # one that began at the same time, and a little earlier
         pool.close()
         raise BadInput(f"--front-end: {', '.join(others)} has another one; all of a system have the same")
     return pool

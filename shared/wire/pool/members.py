@@ -122,10 +122,14 @@ class Pool:
         """The shards that this process serves."""
         return self._shares.held
 
-    def others(self) -> list[str]:
-        """Names of processes of another kind that are there."""
-        present = [token for token in self._all() if token.shard.startswith(_PRESENT)]
-        return sorted(token.name for token in present if token.shard != self._kind)
+    def others(self, *, is_shown: bool = False) -> list[str]:
+        """Names of processes of another kind that are there.
+
+        is_shown : this process has shown that it is there, too, and asks for those only that began before it: of two
+                   that began at once the earlier one stays
+        """
+        others = [token for token in self._all() if token.shard.startswith(_PRESENT) and token.shard != self._kind]
+        return sorted(token.name for token in others if not is_shown or token.moment < self._shares.moment)
 
     def begin(self) -> None:
         """Show that this process is there; it claims its part from now on."""

@@ -88,13 +88,14 @@ def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
     assert start("c", "zenoh:roof", "2e4b").pool.others() == []
 
 
-def test_kinds_that_start_at_once_see_each_other_when_they_have_joined(router: str) -> None:
+def test_of_kinds_that_start_at_once_the_later_one_sees_the_other_when_they_have_joined(router: str) -> None:
     one, other = _Process(router, "a"), _Process(router, "b", "zenoh:roof")
     assert one.pool.others() == other.pool.others() == []
     for process in (one, other):
         process.pool._show(process.pool._kind)
     time.sleep(SETTLE_S)  # as long as each waits before it serves
     assert (one.pool.others(), other.pool.others()) == (["b"], ["a"])
+    assert (one.pool.others(is_shown=True), other.pool.others(is_shown=True)) == ([], ["a"])
     for process in (one, other):
         process.session.close()
 
