@@ -159,6 +159,13 @@ PROOFS = (
         f"{PYTEST}tests/services/test_storm.py",
     ),
     Proof(
+        "hour",
+        "An hour of containers in real time, with commands and kills, is replayed bit for bit.",
+        "`docker compose up` at 5 dwells a second; 30 commands over HTTP and from the page; planner, allocator,"
+        " recorder, router, emulator and metrics killed, one after the other",
+        "python -m tests.containers.hour",
+    ),
+    Proof(
         "soak",
         "What a system holds does not grow, and every question is answered.",
         "30 minutes, 6 runs at a time, 20 pages, 50 askers",

@@ -27,6 +27,8 @@ def test_what_a_command_names_is_there(proof: Proof) -> None:
         named = re.findall(r"tests/\S+", proof.command)
         assert named
         assert all((ROOT / name.partition("::")[0]).exists() for name in named)
+    elif program == "python" and (module := proof.command.split()[2]).startswith("tests."):
+        assert (ROOT / module.replace(".", "/")).with_suffix(".py").exists()
     elif program == "python":
         assert proof.command.startswith("python -m studies ")
         assert proof.command.split()[3] in get_command(studies).commands  # type: ignore[attr-defined]
