@@ -63,7 +63,7 @@ def table(scores: Scores) -> Table:
         "swaps": "swaps",
         "rmse_m": "RMSE m",
         "velocity_m_s": "velocity m/s",
-        **{flight.name: f"NEES {flight.name}" for flight in TURNS},
+        **{f"nees_{i}": f"NEES {flight.name}" for i, flight in enumerate(TURNS)},
     }
     columns = [Column("sky", "{sky}", left=True), Column("runs", "{runs}"), Column("tracker", "{tracker}", left=True)]
     columns += [Column(heading, f"{{{name}}}") for name, heading in headings.items()]
@@ -79,7 +79,7 @@ def _rows(sky: str, runs: Sequence[Mapping[str, Score]]) -> list[dict[str, Any]]
         row |= {name: _median([getattr(score, name) for score in scores], form) for name, form in _FORMS.items()}
         row |= {name: f"{np.median([getattr(score, name) for score in scores]):.1f}" for name in ("missed", "false")}
         row |= {"swaps": f"{sum(score.swaps for score in scores):.0f}"}
-        row |= {flight.name: _median([score.nees[i] for score in scores], ".1f") for i, flight in enumerate(TURNS)}
+        row |= {f"nees_{i}": _median([score.nees[i] for score in scores], ".1f") for i in range(len(TURNS))}
         if tracker == OWN:
             ratios = [score.gospa_km / other for score, other in zip(scores, better, strict=True)]
             row["ratio"] = _median(ratios, ".2f")
