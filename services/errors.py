@@ -57,6 +57,16 @@ class Unreachable(NoRoom):
     """The server of a store does not answer, or has ended the session; what was not committed is undone."""
 
 
+class Damaged(StoreFailed):
+    """Bytes of a store are not as they were written; the text names what is damaged, and what to do."""
+
+    exit_code = 2
+
+    def __init__(self, text: str, run: str = "") -> None:
+        super().__init__(text)
+        self.run = run  # of which they are; "": unknown, or the whole store
+
+
 class Deposed(Failure):
     """Another process took over the role of this one, which was frozen or cut off; this one has ended itself."""
 

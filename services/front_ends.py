@@ -8,6 +8,7 @@ docs/howto/front-end.md.
 import re
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,9 +94,16 @@ def _recorded(name: str) -> OpenFrontEnd:
                 raise FrontEndError(f"{shown(file)}: no run {run}")
             radars = (RadarConfig.model_validate(radar) for radar in (start.scenario["radar"], checkpoint.radar))
             check_fits(*radars)
-            return RecordedFrontEnd(lambda k: journal.message(run, k, "scan", 0), opened.pop_all().close)
+            return RecordedFrontEnd(partial(_scan, journal, run), opened.pop_all().close)
 
     return open_recording
+
+
+def _scan(journal: Journal, run: str, k: int) -> bytes | None:
+    try:
+        return journal.message(run, k, "scan", 0)
+    except StoreFailed as error:
+        raise FrontEndError(str(error)) from None
 
 
 def _recording(name: str) -> tuple[str, str]:

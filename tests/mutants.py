@@ -88,14 +88,14 @@ MUTANTS = (
     Mutant(
         "a recorder that comes back begins unfinished runs at the next dwell",
         RECORDER,
-        'run = RecordedRun(start, row["k"], row["t"]',
-        'run = RecordedRun(start, row["k"] + 1, row["t"]',
+        "run = RecordedRun(start, k, t",
+        "run = RecordedRun(start, k + 1, t",
     ),
     Mutant(
         "the first message of a dwell is overwritten by a later one",
         JOURNAL,
-        "INSERT INTO message VALUES (?,?,?,?,?) ON CONFLICT DO NOTHING",
-        "INSERT OR REPLACE INTO message VALUES (?,?,?,?,?)",
+        "INSERT INTO message VALUES (?,?,?,?,?,?) ON CONFLICT DO NOTHING",
+        "INSERT OR REPLACE INTO message VALUES (?,?,?,?,?,?)",
         harmless="a second one has the same bytes",
     ),
     Mutant(
@@ -104,6 +104,12 @@ MUTANTS = (
         "if snapshot.k >= run.acknowledged[0]:",
         "if snapshot.k >= run.acknowledged[0] + 999:",
         harmless="planners send none of them",
+    ),
+    Mutant(
+        "a checksum is not looked at",
+        "services/recorder/store/seal.py",
+        "return crc32(known, crc32(ascii(values).encode()))",
+        "return 0",
     ),
     Mutant(
         "an older snapshot replaces a newer one",

@@ -181,7 +181,7 @@ def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
             numbers = score | {"target": score["target"] - 1, "track": track}
             values = [math.nan if value is None else value for value in list(numbers.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
-        for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
+        for message in store.stored("message", "WHERE run = ? ORDER BY topic, k, item", [name]):
             total.update(renamed(message["payload"], name, "-"))
     return total.hexdigest()
 

@@ -30,6 +30,7 @@ from cogradar.services.cli.console import (
     out,
     print_csv,
     print_json,
+    progress,
     say,
     with_rule,
 )
@@ -317,23 +318,57 @@ class StoreAction(StrEnum):
     """What is to be done with stores."""
 
     COPY = "copy"
+    CHECK = "check"
 
 
 def store_command(
-    _action: Annotated[StoreAction, typer.Argument(metavar="copy", show_choices=False, help="Copy a store.")],
+    action: Annotated[StoreAction, typer.Argument(metavar="copy|check", show_choices=False, help="What is done.")],
     source: Annotated[str, typer.Argument(help=f"SQLite file, or {SHORT}.", autocompletion=completion.stores)],
-    target: Annotated[str, typer.Argument(help="A new file, or an empty schema of a server.")],
+    target: Annotated[str | None, typer.Argument(help="Of copy: a new file, or an empty schema of a server.")] = None,
+    intact: Annotated[
+        bool, typer.Option("--intact", help="Of copy: leave out the runs of which a row is damaged.")
+    ] = False,
 ) -> None:
-    """Copy a store into a new one, from a file to a server, or back.
+    """Copy a store into a new one, from a file to a server, or back; or check
+    that all of it is as it was written.
 
-    What is committed at this moment is copied, read again and compared row by
-    row. A copy that fails leaves an empty store, to which you can copy again.
+    What is committed at this moment is checked, copied, read again and
+    compared row by row. A copy that fails leaves an empty store, to which you
+    can copy again. `check` names each damaged run, and its exit code is 2.
     """
+    if (target is None) is (action is StoreAction.COPY):
+        raise typer.BadParameter("copy takes two stores, check takes one")
+    if intact and action is StoreAction.CHECK:
+        raise typer.BadParameter("--intact belongs to copy")
     with command() as stop:
-        from cogradar.services.recorder.store.copy import copy
+        if target is None:
+            _check_store(source, stop)
+        else:
+            _copy_store(source, target, stop, only_intact=intact)
 
-        def check(*_: object) -> None:
+
+def _check_store(source: str, stop: Stop) -> None:
+    from cogradar.services.recorder.store.check import check
+
+    n = 0
+    with progress(err) as tell:
+
+        def told(run: str) -> None:
+            nonlocal n
+            n += 1
             check_stop(stop)
+            tell(f"{shown(source)}: run {n}, {run}")
 
-        counts = copy(source, target, check)
+        found = check(source, told)
+    for one in found[1:]:
+        say(str(one), err)
+    if found:
+        raise found[0]
+    say(f"{shown(source)}: {n} runs, all as they were written")
+
+
+def _copy_store(source: str, target: str, stop: Stop, *, only_intact: bool) -> None:
+    from cogradar.services.recorder.store.copy import copy
+
+    counts = copy(source, target, lambda *_: check_stop(stop), only_intact=only_intact)
     say(f"{shown(target)}: {counts['run']} runs, {counts['message']} messages, {sum(counts.values())} rows in all")

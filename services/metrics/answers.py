@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, Damaged
 from cogradar.services.metrics.messages import command, commands, one_run, orders, page, refusal, utc
 from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.queries import messages
@@ -21,6 +21,7 @@ from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected, whole
 from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.store.seal import QUARANTINED
 from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -102,6 +103,11 @@ def _runs(store: Store, selection: Selection) -> Rows:
     )
     for row in rows:
         row |= {"began": utc(row["began"]), "ended": utc(row["ended"])}
+        try:
+            store.check_rows([row["run"]])
+            store.damage([row["run"]])
+        except Damaged as error:  # one run, and others are asked for with it
+            row |= {"status": QUARANTINED, "reason": row["reason"] or str(error)}
     return [row | (_hindered(row, store) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
 
 
@@ -127,11 +133,11 @@ def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
         return {"waiting_for": NO_ROOM}
     if run["k"] is None:
         return {"waiting_for": "the emulator's first scan"}
-    sent = store.read("SELECT topic, item, payload FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
-    planned = {row["item"] for row in sent if row["topic"] == "plan"}
     try:
+        sent = store.stored("message", "WHERE run = ? AND k = ?", [run["run"], run["k"]])
+        planned = {row["item"] for row in sent if row["topic"] == "plan"}
         (scan,) = (fields(row["payload"]) for row in sent if row["topic"] == "scan")
-    except BadMessage as error:  # one run, and others are asked for with it
+    except (BadMessage, Damaged) as error:  # one run, and others are asked for with it
         return {"waiting_for": f"scan of dwell {run['k']}: cannot be read: {error}"}
     tracks, found = list(range(1, 1 + (run["tracks"] or 0))), {"fault": scan.get("fault")}
     if run["tracks"] is None:

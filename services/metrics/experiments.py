@@ -67,8 +67,8 @@ def experiments(store: Store, selection: Selection) -> list[Experiment]:
         complete, failed = (
             tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), ("failed", "stopped"))
         )
-        if complete:
-            (row,) = store.read("SELECT document FROM run WHERE run = ?", [complete[0]["run"]])
+        store.damage(run["run"] for run in mine)
+        if complete and (row := store.whole_row(complete[0]["run"])):
             document = json.loads(row["document"])
             name, title, dwells = mine[0]["scenario"], document["title"], mine[0]["dwells"]
             alone = documents["n"] == 1 and document["radar"]["planner"]["rule"] not in TRUE_RULES

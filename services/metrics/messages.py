@@ -36,7 +36,8 @@ PAGE_BYTES = 1 << 20  # of payloads; a page that has so many is ended,
 AT_ONCE = 16  # ... after so many dwells, which are read at a time
 OPEN = "open"  # as the state that is asked for: what is not over and was not refused
 NEWEST_DWELLS = 32  # in which the newest waveform is looked for: without one, the allocator is away
-_COLUMNS = 'run, n, asker AS "by", asked_s AS asked, action, k, reason, id, over_k'
+_COLUMNS = {name: name for name in ("run", "n", "by", "asked", "action", "k", "reason", "id", "over_k")}
+_COLUMNS |= {"by": "asker", "asked": "asked_s"}
 
 
 def utc(seconds: Any) -> str | None:
@@ -55,15 +56,15 @@ def one_run(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     if parameters.get("run") == ALL:
         raise BadInput(f"run = {ALL!r}: one run, please")
     (row,) = runs
-    (document,) = store.read("SELECT document FROM run WHERE run = ?", [row["run"]])
-    return [row | {"document": json.loads(document["document"])}]
+    found = store.whole_row(row["run"])
+    return [] if found is None else [row | {"document": json.loads(found["document"])}]
 
 
 def orders(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     """The commands of one run that were granted: number, dwell from which on, and action."""
     (run,) = one_run(store, parameters)
-    query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL ORDER BY n"
-    return [_order(run["run"], row).model_dump() for row in store.read(query, [run["run"]])]
+    rows = store.stored("command", "WHERE run = ? ORDER BY n", [run["run"]])
+    return [_order(run["run"], row).model_dump() for row in rows if row["k"] is not None]
 
 
 def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
@@ -138,16 +139,16 @@ def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
 
 def _rows(store: Store, run: Run, condition: str = "TRUE", values: Sequence[str] = ()) -> list[Run]:
     """list[Run] of `commands` of one run."""
-    query = f"SELECT {_COLUMNS} FROM command WHERE run = ? AND {condition} ORDER BY n"
-    rows = store.read(query, [run["run"], *values])
+    stored = store.stored("command", f"WHERE run = ? AND {condition} ORDER BY n", [run["run"], *values])
+    rows = [{shown: row[name] for shown, name in _COLUMNS.items()} for row in stored]
     if not rows:
         return []
     (newest,) = store.read("SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'", [run["run"]])
     k = -1 if newest["k"] is None else newest["k"]
     missing, unmet, over = set[int](), dict[int, str](), set[int]()
     if run["status"] == "running":
-        asked = "SELECT n, k, action FROM command WHERE run = ? AND k <= ? AND over_k IS NULL"
-        begun = [_order(run["run"], row) for row in store.read(asked, [run["run"], k])]
+        asked = store.stored("command", "WHERE run = ? AND k <= ? AND over_k IS NULL", [run["run"], k])
+        begun = [_order(run["run"], row) for row in asked]
         there = in_force(begun, k)
         # The recorder notes an end with its next checkpoint, some dwells later.
         over = {order.n for order in begun if order not in there and not isinstance(order.action, DropTrack | EndRun)}
@@ -212,9 +213,9 @@ def _unmet(store: Store, run: str, newest_k: int, there: Sequence[Order]) -> dic
 
 def _newest(store: Store, run: str, topic: str, item: int, newest_k: int) -> dict[str, Any] | None:
     """The newest message of a topic, of a track if there is one for each, unless it is old."""
-    rows = store.read(
-        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = ? AND item = ?"
-        " ORDER BY k DESC LIMIT 1",
+    rows = store.stored(
+        "message",
+        "WHERE run = ? AND k BETWEEN ? AND ? AND topic = ? AND item = ? ORDER BY k DESC LIMIT 1",
         [run, newest_k - NEWEST_DWELLS, newest_k, topic, item],
     )
     return fields(rows[0]["payload"]) if rows else None

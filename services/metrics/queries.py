@@ -26,7 +26,7 @@ _AT_DWELLS = "FROM json_each(?) AS dwell CROSS JOIN"
 
 def run_row(store: Store, run: str) -> Row | None:
     """The row of a run, with its scenario as JSON."""
-    return _first(store.read("SELECT * FROM run WHERE run = ?", [run]))
+    return store.whole_row(run)
 
 
 def progress(store: Store, run: str) -> Row | None:
@@ -37,12 +37,15 @@ def progress(store: Store, run: str) -> Row | None:
 
 def running(store: Store, most: int) -> list[Row]:
     """The newest runs that go on: run, n_track, is_unknown, and their newest durable scan."""
-    return store.read(
-        "SELECT run, n_track, n_track IS NULL AS is_unknown, (SELECT payload"
-        " FROM message AS m WHERE m.run = run.run AND m.k = acknowledged_k - 1 AND m.topic = 'scan') AS scan"
+    rows = store.read(
+        "SELECT run, n_track, n_track IS NULL AS is_unknown, acknowledged_k - 1 AS k"
         " FROM run WHERE status = 'running' ORDER BY place DESC LIMIT ?",
         [most],
     )
+    for row in rows:
+        scans = stored(store, row["run"], "scan", [row.pop("k")], 0, "k, payload")
+        row["scan"] = scans[0]["payload"] if scans else None
+    return rows
 
 
 def pictures(store: Store, run: str, first: int, last: int, most: int = ALL_ROWS) -> list[Row]:
@@ -125,8 +128,11 @@ def stored(store: Store, run: str, topic: str, ks: Sequence[int], item: int, col
     for at in range(0, len(ks), AT_ONCE):
         some = ks[at : at + AT_ONCE]
         which = f"run = ? AND topic = ? AND item = ? AND k IN ({_marks(len(some))})"
-        query = f"SELECT {columns} FROM message WHERE {which} ORDER BY k"
-        found += store.read(query, [run, topic, item, *some])
+        values = [run, topic, item, *some]
+        if columns == "k":
+            found += store.read(f"SELECT k FROM message WHERE {which} ORDER BY k", values)
+        else:
+            found += store.stored("message", f"WHERE {which} ORDER BY k", values)
     return found
 
 
@@ -137,11 +143,8 @@ def _marks(n: int) -> str:
 
 def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes | None:
     """The snapshot of a track, if it is of one of these dwells k."""
-    row = _first(
-        store.read(
-            "SELECT payload FROM snapshot WHERE run = ? AND target = ? AND k BETWEEN ? AND ?", [run, track, first, last]
-        )
-    )
+    which = "WHERE run = ? AND target = ? AND k BETWEEN ? AND ?"
+    row = _first(store.stored("snapshot", which, [run, track, first, last]))
     return None if row is None else row["payload"]
 
 

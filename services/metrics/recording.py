@@ -14,10 +14,9 @@ def snapshots(dwells: int) -> tuple[int, ...]:
 def take(store: Store, run: str) -> Recording | None:
     """What is kept of a run: its row, scores, picture, and the waveforms of its snapshots; None if it is not there."""
     store.derive([run])
-    rows = store.read("SELECT * FROM run WHERE run = ?", [run])
-    if not rows:
+    row = store.whole_row(run)
+    if row is None:
         return None
-    (row,) = rows
     # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
     n_scan, taken = row["acquisition_scans"], snapshots(row["dwells"])
     messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
@@ -27,4 +26,4 @@ def take(store: Store, run: str) -> Recording | None:
 
 
 def _waveform(store: Store, run: str, k: int) -> list[dict[str, Any]]:
-    return store.read("SELECT * FROM message WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])
+    return store.stored("message", "WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])

@@ -116,6 +116,7 @@ def distinct(store: Store, selection: Selection) -> list[Run]:
     Equal are runs of one scenario document, strategy, seed and number of dwells: to pool them would count the same
     random numbers twice. Runs of one scenario document and number of dwells have one number as their `experiment`.
     """
+    store.check_rows()
     condition, values = selection.of_runs
     runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY place", values)
     return [run for run in runs if run["repetition"] == 1]
@@ -132,6 +133,7 @@ def selected(store: Store, selection: Selection) -> list[Run]:
         condition, values = selection.of_runs
         newest = f"WHERE {condition} ORDER BY acknowledged_t > 0 DESC, place DESC LIMIT 1"
         runs = store.read(f"{_RUN}, 0 AS experiment FROM run {newest}", values)
+        store.check_rows([run["run"] for run in runs])
     if runs:
         _check(selection, runs)
     elif set(selection.filters) == {"run"}:

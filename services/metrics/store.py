@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.errors import StoreFailed
+from cogradar.services.errors import Damaged, StoreFailed
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
 from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.services.recorder.store.check import check_scores, check_whole
+from cogradar.services.recorder.store.seal import QUARANTINED
 from cogradar.services.recorder.store.tables import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
@@ -48,6 +50,8 @@ class Store:
         self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
+        self._damaged: dict[str, Damaged] = {}  # likewise, since something else has changed them
+        self._sound: set[str] = set()  # ended runs whose rows are as they were written
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self._unsummed: dict[str, int] = {}  # runs with scores that are not in the sums yet: the first such dwell t
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
@@ -67,6 +71,28 @@ class Store:
         """Rows of a SELECT of what is recorded, as dictionaries."""
         with self._lock:
             return self.journal.read(query, parameters)
+
+    def stored(self, table: str, which: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Whole rows of what is recorded, without documents, each as it was written. Raises Damaged."""
+        with self._lock:
+            return self.journal.stored(table, which, parameters)
+
+    def whole_row(self, run: str) -> dict[str, Any] | None:
+        """The row of a run with its document, None if it is not there. Raises Damaged."""
+        with self._lock:
+            return self.journal.whole_row(run)
+
+    def check_rows(self, runs: Iterable[str] | None = None) -> None:
+        """Raises Damaged if the row of a run, of these or of all, is not as it was written; of an ended run once."""
+        names = [row["run"] for row in self.read("SELECT run FROM run ORDER BY place")] if runs is None else runs
+        for run in [name for name in names if name not in self._sound]:
+            self._sound |= {row["run"] for row in self.stored("run", "WHERE run = ?", [run]) if row["ended_s"]}
+
+    def damage(self, runs: Iterable[str]) -> None:
+        """Raises Damaged if what was scored of one of these runs is damaged."""
+        for run in runs:
+            if run in self._damaged:
+                raise self._damaged[run]
 
     def scored(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT of the scores of runs that were derived, and of these runs' own rows without documents."""
@@ -110,9 +136,10 @@ class Store:
     def derive(self, runs: Iterable[str] | None = None, most: int | None = None) -> bool:
         """Score what is acknowledged of these runs, or of all; `most` dwells of each, the others next time.
 
-        Returns whether nothing is left to do.
+        Returns whether nothing is left to do. Raises Damaged for runs that are named, unless they are set aside: scores
+        of a part of what was recorded would be wrong without a sign of it.
         """
-        names = [row["run"] for row in self.read("SELECT run FROM run")] if runs is None else runs
+        names = [row["run"] for row in self.read("SELECT run FROM run")] if runs is None else list(runs)
         is_done = True
         for run in names:
             n = 0
@@ -125,6 +152,8 @@ class Store:
                 time.sleep(LET_OTHERS_S)
             else:
                 is_done = is_done and run in self._finished
+        if runs is not None and most is None:
+            self.damage(names)
         return is_done
 
     def derive_to(self, run: str, k: int) -> None:
@@ -145,20 +174,26 @@ class Store:
 
     def _derive(self, run: str, most: int) -> bool:
         """Score some dwells of a run; true if nothing is left to do."""
-        rows = self.read(
-            "SELECT acknowledged_k AS k, kept_k, n_target, status,"
-            " EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept FROM run WHERE run = ?",
-            [run],
-        )
-        if not rows:
-            return True
-        (row,) = rows
-        is_rewound = run in self._scorers and self._scorers[run].k > row["k"]  # the journal was restored
+        status = ""
+        try:
+            for row in self.stored("run", "WHERE run = ?", [run]):
+                status = row["status"]
+                return self._derive_from(row, most)
+        except Damaged as error:
+            self.unreadable[run] = str(error)
+            if status != QUARANTINED:
+                self._damaged[run] = error
+        return True
+
+    def _derive_from(self, row: dict[str, Any], most: int) -> bool:
+        run, k, is_kept = row["run"], row["acknowledged_k"], row["scores_checksum"] is not None
+        is_rewound = run in self._scorers and self._scorers[run].k > k  # the journal was restored
         if is_rewound or run in self._incomplete:
             self._forget(run)
-        if not self._copy(run, with_scores=row["is_kept"]):
+        if not self._copy(run, with_scores=is_kept):
             return True
-        if row["is_kept"]:
+        if is_kept:
+            check_scores(self.journal, run)
             sums.add(self.scores, KEPT, run, 0)
             self._finished.add(run)
             self._kept.add(run)
@@ -168,12 +203,14 @@ class Store:
             if row["kept_k"] > self._cut_k.get(run, 0):
                 self._cut(run, row["n_target"], row["kept_k"])
                 scorer.k = max(scorer.k, row["kept_k"])
-            self._score(scorer, run, min(row["k"], scorer.k + most))
-            if scorer.k < row["k"]:
+            self._score(scorer, run, min(k, scorer.k + most))
+            if scorer.k < k:
                 return False
+            if row["status"] not in {"running", QUARANTINED}:
+                check_whole(self.journal, run)
         except (Unreadable, BadMessage) as error:
             self.unreadable[run] = str(error)
-        except StoreFailed:
+        except StoreFailed:  # also what is damaged: another file may be put in its place
             self._incomplete.add(run)
             raise
         if row["status"] != "running":
@@ -253,6 +290,7 @@ class Store:
         self._kept.discard(run)
         self._cut_k.pop(run, None)
         self.unreadable.pop(run, None)
+        self._damaged.pop(run, None)
         self.held.discard(run)
         self.scores.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         self.scores.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
 from cogradar.services.delivery.pending import Pending
-from cogradar.services.errors import BY_USER
+from cogradar.services.errors import BY_USER, Damaged
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
+from cogradar.services.recorder.store.check import check_count, check_whole
 from cogradar.services.recorder.store.database import deposed
 from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
@@ -75,6 +76,8 @@ class RecorderCore:
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
         self._uncommitted_ticks = self._behind_ticks = 0
         journal.lead()
+        for name, reason in journal.quarantine_damaged():
+            log.error("%s is set aside: %s", name, reason)
         if resume:
             for run in journal.unfinished():
                 self._resume(run)
@@ -85,7 +88,14 @@ class RecorderCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Journal a message; a checkpoint if enough is complete, a History if something is recalled. Raises Deposed."""
-        return led_by(self._journal, self._answers(event))
+        try:
+            answers = self._answers(event)
+        except Damaged as error:
+            if not (run := error.run or getattr(event, "run", "")):
+                raise  # the store as a whole
+            told = self._end_damaged(run, error)
+            answers = [*self._commit(), *told]
+        return led_by(self._journal, answers)
 
     def _answers(self, event: Event) -> Sequence[Message]:
         match event:
@@ -129,7 +139,7 @@ class RecorderCore:
         try:
             self._runs[name] = self._resumed(name)
             self._journal.hinder(name, "")  # what still cannot do its part says so again
-        except (Unreadable, BadMessage) as error:
+        except (Unreadable, BadMessage, Damaged) as error:
             self._set_aside(name, str(error))
         else:
             log.info("going on with %s from dwell %d", name, self._runs[name].k)
@@ -140,12 +150,20 @@ class RecorderCore:
         self._journal.quarantine(name, reason)
         log.error("%s cannot go on and is set aside: %s", name, reason)
 
+    def _end_damaged(self, name: str, error: Damaged | Unreadable) -> list[Checkpoint]:
+        """Set a run aside whose rows cannot be used; its processes are told that it is over, once that is durable."""
+        run = self._runs.get(name)
+        self._set_aside(name, str(error))
+        return [] if run is None else run.checkpoint(ended=True)
+
     def _resumed(self, name: str) -> RecordedRun:
         start = self._journal.start(name)
         if start is None:
             raise Unreadable("no such run")
-        (row,) = self._journal.read("SELECT acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [name])
-        run = RecordedRun(start, row["k"], row["t"], self._journal.orders(name), resumed=True)
+        row = check_whole(self._journal, name)
+        k, t = row["acknowledged_k"], row["acknowledged_t"]
+        run = RecordedRun(start, k, t, self._journal.orders(name), resumed=True)
+        run.n_message = row["messages"]
         self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
@@ -174,7 +192,7 @@ class RecorderCore:
         """How a run of the journal began; None if there is none, or none that can be read."""
         try:
             return self._journal.start(run)
-        except Unreadable:
+        except (Unreadable, Damaged):
             return None
 
     def _end(self, end: RunEnd) -> Sequence[Message]:
@@ -287,38 +305,51 @@ class RecorderCore:
             if run.end is not None and run.is_over:
                 # The digest of a part of a run is not needed.
                 is_part = run.end.status == "stopped" or self._spans[run.start.run].first_k > 0
-                return self._finish(run, run.end, "" if is_part else run.digest.finish(self._journal))
-        except Unreadable as error:
-            self._set_aside(run.start.run, str(error))
-            return [*self._commit(), *run.checkpoint(ended=True)]
+                return self._finish(run, run.end, "" if is_part else self._digest(run))
+        except (Unreadable, Damaged) as error:
+            told = self._end_damaged(run.start.run, error)
+            return [*self._commit(), *told]
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
+
+    def _digest(self, run: RecordedRun) -> str:
+        """Of all messages, none of which is missing by now. Raises Unreadable, Damaged."""
+        check_count(self._journal, run.start.run, run.k, run.n_message)
+        return run.digest.finish(self._journal)
 
     def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
         if there := in_force(run.orders.orders, run.k):
             names = ", ".join(text_of(order.action) for order in there)
             log.warning("%s ends, and with it its orders: %s; the next run begins without any", run.start.run, names)
-        del self._runs[run.start.run], self._spans[run.start.run]
-        self._journal.acknowledge(run.start.run, run.k, run.t)
+        self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
         self._journal.end_run(end, digest)
+        del self._runs[run.start.run], self._spans[run.start.run]
         others = self._commit()
         run.acknowledged = run.k, run.t
         return [*others, *run.checkpoint(ended=True)]
 
     def _commit(self) -> list[Checkpoint]:
         """Make durable what is written; only then the checkpoints of the runs in which more is complete than before."""
-        advanced = [run for run in self._runs.values() if run.k > run.acknowledged[0]]
-        for run in advanced:
-            self._journal.acknowledge(run.start.run, run.k, run.t)
-            if run.tracks is not None:  # ended tracks are not continued
-                self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
-            self._spans[run.start.run].cut(self._journal, run)
-            for n in run.orders.end(run.k, run.known_k, run.born_ks):
-                self._journal.end_order(run.start.run, n, run.k)
+        advanced, told = [run for run in self._runs.values() if run.k > run.acknowledged[0]], list[Checkpoint]()
+        for run in list(advanced):
+            try:
+                self._note_progress(run)
+            except Damaged as error:
+                advanced.remove(run)
+                told += self._end_damaged(run.start.run, error)
         self._journal.commit()
         self._uncommitted_ticks = 0
         for run in advanced:
             run.acknowledged = run.k, run.t
-        return [checkpoint for run in advanced for checkpoint in run.checkpoint()]
+        return [*told, *(checkpoint for run in advanced for checkpoint in run.checkpoint())]
+
+    def _note_progress(self, run: RecordedRun) -> None:
+        """Write how far a run is complete, and what this ends. Raises Damaged."""
+        self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
+        if run.tracks is not None:  # ended tracks are not continued
+            self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
+        self._spans[run.start.run].cut(self._journal, run)
+        for n in run.orders.end(run.k, run.known_k, run.born_ks):
+            self._journal.end_order(run.start.run, n, run.k)
 
     def _tick(self, tick: Tick) -> Sequence[Message]:
         self._behind_ticks = 0 if tick.drained else (self._behind_ticks + 1) % BEHIND_TICKS

@@ -1,8 +1,8 @@
 """The recorder whose journal cannot be written: it holds all runs, says so, and goes on as soon as it can.
 
-The disk is full, the file was removed, replaced or made read-only, or the server is away. If the same file is back,
-nothing was lost. One in its place lacks what was acknowledged: a recorder that is started anew begins from it, as from
-any older journal.
+The disk is full, the file was removed, replaced or made read-only, the server is away, or what is damaged is no single
+run's. If the same file is back, nothing was lost. One in its place lacks what was acknowledged: a recorder that is
+started anew begins from it, as from any older journal.
 
 What was not committed when the disk was full is undone, and its sender has kept it. So the recorder ends there, as
 if it had been killed, and another one begins where the journal is: the same way back as from any other fault. Runs in
@@ -12,7 +12,7 @@ lockstep stand still meanwhile, as nothing is acknowledged. In real time the rad
 import logging
 from collections.abc import Callable, Sequence
 
-from cogradar.services.errors import NoRoom
+from cogradar.services.errors import Damaged, NoRoom
 from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.recorded_run import RecordedRun
@@ -45,7 +45,7 @@ class Recorder:
         self._cancelled: set[str] = set()  # meanwhile
         try:
             self._begin()
-        except NoRoom as error:
+        except (NoRoom, Damaged) as error:
             self._end(error)
 
     @property
@@ -57,7 +57,7 @@ class Recorder:
         """What the core answers. Without room: that runs are held, until there is some."""
         try:
             return self._wait(event) if self._core is None else self._go_on(self._core, event)
-        except NoRoom as error:
+        except (NoRoom, Damaged) as error:
             self._end(error)
             self._note(event)
             return self._held()
@@ -91,7 +91,7 @@ class Recorder:
         self._resume = True  # from now on they are ours
         return self._core
 
-    def _end(self, error: NoRoom) -> None:
+    def _end(self, error: NoRoom | Damaged) -> None:
         if self._ticks == 0:
             log.error("%s: all runs are held until it can be written", error)
         self._core, self._trouble = None, str(error)
@@ -124,12 +124,12 @@ class Recorder:
         query = "SELECT run, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE status = 'running' ORDER BY place"
         try:
             rows = self._journal.read(query)
-        except NoRoom:  # a server is away: what was granted and is not committed must not be told
+        except (NoRoom, Damaged):  # a server is away: what was granted and is not committed must not be told
             return ()
         for row in rows:
             try:
                 start, orders = self._journal.start(row["run"]), self._journal.orders(row["run"])
-            except Unreadable:
+            except (Unreadable, Damaged):
                 continue  # it will be set aside
             if start is not None:
                 answers += RecordedRun(start, row["k"], row["t"], orders).checkpoint(held=True)

@@ -11,8 +11,19 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cogradar.services.errors import INTERRUPTED, StoreFailed
+from cogradar.services.errors import INTERRUPTED, Damaged, StoreFailed
 from cogradar.services.recorder.store.database import Database
+from cogradar.services.recorder.store.seal import (
+    CHECKSUM,
+    LISTED,
+    QUARANTINED,
+    SEALED,
+    checksum,
+    damaged,
+    scores_checksum,
+    sealed,
+    verify,
+)
 from cogradar.services.recorder.store.tables import Recording
 from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
@@ -20,8 +31,8 @@ from cogradar.shared.scenario.trajectories.rows import Rows
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 PAGE = 256  # messages that are read at a time, of some kB; a dwell has fewer, as a rule
-_PLACE = "(SELECT COALESCE(MAX(place), 0) + 1 FROM run)"  # after all others
-_START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
+_ONE = "WHERE run = ?"
+_START = ("run", "strategy", "seed", "dwells", "rate_hz")
 
 
 class Unreadable(ValueError):
@@ -41,9 +52,13 @@ class Retention:
     grace_s: int = 60  # any ended run is kept so long, for its client to see its end
 
 
+_NEW: dict[str, Any] = dict.fromkeys(SEALED["run"]) | {"status": "running", "reason": ""}  # a run that begins
+_NEW |= dict.fromkeys(("acknowledged_k", "acknowledged_t", "kept_k", "conflicts", "messages", "commands"), 0)
+
+
 def order_of(row: dict[str, Any]) -> Order:
     """The order in a row of `command`: its n, k and action. Raises ValueError, TypeError."""
-    return Order.model_validate(row | {"action": json.loads(row["action"])})
+    return Order.model_validate({"n": row["n"], "k": row["k"], "action": json.loads(row["action"])})
 
 
 class Journal(Database):
@@ -54,24 +69,49 @@ class Journal(Database):
         world, n_track = start.scenario["world"], start.scenario["radar"]["tracks"]
         n_track = None if n_track == "unknown" else n_track
         n_target = (n_track or 0) if world is None else len(world["targets"])
-        document, strategy = json.dumps(start.scenario, sort_keys=True, default=Rows.tolist), start.strategy.value
-        self.write(
-            "INSERT INTO run (run, place, scenario, document, strategy, seed, dwells, dt_s, rate_hz, n_target, n_track,"
-            f" has_truth, began_s) VALUES (?,{_PLACE},?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT (run) DO NOTHING",
-            *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells),
-            *(start.scenario["radar"]["motion"]["dt_s"], start.rate_hz, n_target, n_track, int(world is not None)),
-            _now_s(),
-        )
+        row = {
+            "run": start.run,
+            "place": self.rows("SELECT COALESCE(MAX(place), 0) + 1 FROM run")[0][0],  # after all others
+            "scenario": start.scenario["name"],
+            "document": json.dumps(start.scenario, sort_keys=True, default=Rows.tolist),
+            "strategy": start.strategy.value,
+            "seed": start.seed,
+            "dwells": start.dwells,
+            "dt_s": start.scenario["radar"]["motion"]["dt_s"],
+            "rate_hz": start.rate_hz,
+            "n_target": n_target,
+            "n_track": n_track,
+            "has_truth": int(world is not None),
+            "began_s": _now_s(),
+        }
+        self._add_run(row)
 
-    def acknowledge(self, run: str, k: int, t: int) -> None:
-        """Record that dwells 0 .. k-1 of a run are complete, and the clock t of the last one."""
+    def _add_run(self, row: dict[str, Any]) -> bool:
+        """Add a run, unless it is there; whether it was not."""
+        row = sealed("run", _NEW | row)
+        marks = ",".join("?" * len(row))
+        statement = f"INSERT INTO run ({', '.join(row)}) VALUES ({marks}) ON CONFLICT (run) DO NOTHING"
+        return self.write(statement, *row.values()) == 1
+
+    def _change(self, run: str, **values: Any) -> None:
+        """Change columns of a run. Raises Damaged: what is damaged keeps the checksum that does not fit it."""
+        for row in self.stored("run", _ONE, [run]):
+            changed = values | {CHECKSUM: sealed("run", row | values)[CHECKSUM]}
+            self.write(f"UPDATE run SET {', '.join(f'{name} = ?' for name in changed)} {_ONE}", *changed.values(), run)
+
+    def _add(self, run: str, **values: int) -> None:
+        """Add to what a run's row counts. Raises Damaged."""
+        for row in self.stored("run", _ONE, [run]):
+            self._change(run, **{name: row[name] + value for name, value in values.items()})
+
+    def acknowledge(self, run: str, k: int, t: int, n_message: int) -> None:
+        """Record that dwells 0 .. k-1 of a run are complete, with so many messages, and the clock t of the last one."""
         scans = k - t if t > 0 else None  # the clock starts when the acquisition is over
-        query = "UPDATE run SET acknowledged_k = ?, acknowledged_t = ?, acquisition_scans = ? WHERE run = ?"
-        self.write(query, k, t, scans, run)
+        self._change(run, acknowledged_k=k, acknowledged_t=t, acquisition_scans=scans, messages=n_message)
 
     def end_run(self, end: RunEnd, digest: str) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
-        self._end("run = ?", (end.run,), end.status, end.reason, digest)
+        self._end(end.run, end.status, end.reason, digest)
 
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
@@ -98,64 +138,92 @@ class Journal(Database):
             else:
                 self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
 
-    def cut(self, run: str, before_k: int) -> int:
-        """Delete the messages of the dwells before this one, whose space is used again; how many bytes they had.
+    def cut(self, run: str, before_k: int) -> tuple[int, int]:
+        """Delete the messages of the dwells before this one, whose space is used again; their number, and their bytes.
 
         With them go the orders that shape none of the dwells that are left, and what was refused before; not the last
         command, after whose number the others count.
         """
         of_them = "FROM message WHERE run = ? AND k < ?"
         (row,) = self.rows(f"SELECT COALESCE(SUM(LENGTH(payload)), 0) {of_them}", (run, before_k))
-        self.write(f"DELETE {of_them}", run, before_k)
-        self.write("UPDATE run SET kept_k = ? WHERE run = ?", before_k, run)
+        n_message = self.write(f"DELETE {of_them}", run, before_k)
         (ended,) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
+        n_command = 0
         if ended[0] is not None:
-            self.write(
+            n_command = self.write(
                 "DELETE FROM command WHERE run = ? AND n <= ? AND (k IS NULL OR over_k <= ?)"
                 " AND n < (SELECT MAX(n) FROM command WHERE run = ?)",
                 *(run, ended[0], before_k, run),
             )
-        return int(row[0])
+        self._add(run, messages=-n_message, commands=-n_command)
+        self._change(run, kept_k=before_k)
+        return n_message, int(row[0])
 
     def quarantine(self, run: str, reason: str) -> None:
         """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""
-        self.write("UPDATE run SET status = 'quarantined', reason = ? WHERE run = ?", reason, run)
+        try:
+            self._change(run, status=QUARANTINED, reason=reason)
+        except Damaged:  # the row keeps its checksum, and nothing else in it is believed
+            self.write("UPDATE run SET status = ?, reason = ? WHERE run = ?", QUARANTINED, reason, run)
+
+    def quarantine_damaged(self) -> list[tuple[str, str]]:
+        """Set aside the runs whose own rows are damaged: names and reasons."""
+        found = list[tuple[str, str]]()
+        for row in self.read(f"SELECT {LISTED['run']} FROM run WHERE status <> ?", [QUARANTINED]):
+            try:
+                verify(self.path, "run", row)
+            except Damaged as error:  # also its name may be another one by now
+                query = "UPDATE run SET status = ?, reason = ? WHERE place = ?"
+                self.write(query, QUARANTINED, str(error), row["place"])
+                found.append((str(row["run"]), str(error)))
+        return found
 
     def hinder(self, run: str, reason: str) -> None:
         """Say what a run that goes on is hindered by."""
-        self.write("UPDATE run SET reason = ? WHERE run = ? AND status = 'running'", reason, run)
+        self._change(run, reason=reason)
 
     def give_up_unfinished(self) -> None:
         """Mark the runs that have not ended as failed: the lock is ours, so their recorder is gone."""
-        self._end("status = 'running'", (), "failed", INTERRUPTED, None)
+        for run in self.unfinished():
+            self._end(run, "failed", INTERRUPTED, None)
 
     def add_conflict(self, run: str) -> None:
         """Count a message that differs from the one that came first."""
-        self.write("UPDATE run SET conflicts = conflicts + 1 WHERE run = ?", run)
+        self._add(run, conflicts=1)
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
-        query = "INSERT INTO message VALUES (?,?,?,?,?) ON CONFLICT DO NOTHING"
-        return self.write(query, run, k, topic, item, payload) == 1
+        query = "INSERT INTO message VALUES (?,?,?,?,?,?) ON CONFLICT DO NOTHING"
+        return self.write(query, run, k, topic, item, payload, checksum((run, k, topic, item), payload)) == 1
 
     def add_command(self, command: Command, n: int, k: int | None, reason: str) -> None:
         """Record a command: granted from dwell k on, or refused."""
-        action = json.dumps(command.action.model_dump())
-        self.write(
-            "INSERT INTO command (run, n, id, asker, asked_s, action, k, reason) VALUES (?,?,?,?,?,?,?,?)",
-            *(command.run, n, command.id, command.by, _now_s(), action, k, reason),
-        )
+        row = {
+            "run": command.run,
+            "n": n,
+            "id": command.id,
+            "asker": command.by,
+            "asked_s": _now_s(),
+            "action": json.dumps(command.action.model_dump()),
+            "k": k,
+            "reason": reason,
+            "over_k": None,
+        }
+        self.add_rows("command", [sealed("command", row)])
+        self._add(command.run, commands=1)
 
     def end_order(self, run: str, n: int, over_k: int) -> None:
         """Record that no dwell from this one on is shaped by an order."""
-        self.write("UPDATE command SET over_k = ? WHERE run = ? AND n = ?", over_k, run, n)
+        for row in self.stored("command", "WHERE run = ? AND n = ?", [run, n]):
+            query = "UPDATE command SET over_k = ?, checksum = ? WHERE run = ? AND n = ?"
+            self.write(query, over_k, sealed("command", row | {"over_k": over_k})[CHECKSUM], run, n)
 
     def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
         """Record what a track was after dwell k, in place of what is older; what is newer stays."""
         self.write(
-            "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
-            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > snapshot.k",
-            *(run, target, k, payload),
+            "INSERT INTO snapshot VALUES (?,?,?,?,?) ON CONFLICT (run, target) DO UPDATE SET k = excluded.k,"
+            " checksum = excluded.checksum, payload = excluded.payload WHERE excluded.k > snapshot.k",
+            *(run, target, k, payload, checksum((run, target, k), payload)),
         )
 
     def drop_snapshots(self, run: str, tracks: Collection[int]) -> None:
@@ -168,10 +236,10 @@ class Journal(Database):
 
         `place` orders the runs of the store, whatever the order in which they are added.
         """
-        row = recording.run | {"place": place}
-        columns, marks = ", ".join(row), ",".join("?" * len(row))
+        own: dict[str, int | None] = {"place": place, "messages": len(recording.messages), "commands": 0}
+        own["scores_checksum"] = scores_checksum(recording.scores, recording.picture)
         try:
-            if self.write(f"INSERT INTO run ({columns}) VALUES ({marks}) ON CONFLICT (run) DO NOTHING", *row.values()):
+            if self._add_run(recording.run | own):
                 self.add_scores(recording.scores, recording.picture)
                 self.add_rows("message", recording.messages)
             self.commit()
@@ -192,13 +260,13 @@ class Journal(Database):
 
     def set_campaign(self, document: dict[str, Any]) -> None:
         """Record, durably, what the campaign of this store is asked to be."""
-        self.write("INSERT INTO campaign VALUES (?)", json.dumps(document, sort_keys=True))
+        self.add_rows("campaign", [sealed("campaign", {"document": json.dumps(document, sort_keys=True)})])
         self.commit()
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
-        query = "SELECT payload FROM message WHERE run = ? AND k = ? AND topic = ? AND item = ?"
-        return next((bytes(row[0]) for row in self.rows(query, (run, k, topic, item))), None)
+        found = self.stored("message", "WHERE run = ? AND k = ? AND topic = ? AND item = ?", (run, k, topic, item))
+        return found[0]["payload"] if found else None
 
     def messages(self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None) -> Iterator[bytes]:
         """Payloads of a run from a dwell on, up to one before another, in the order of dwell, topic, item."""
@@ -207,26 +275,35 @@ class Journal(Database):
     def dwells(
         self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None
     ) -> Iterator[tuple[int, str, bytes]]:
-        """The same with dwell and topic: (k, topic, payload)."""
+        """The same with dwell and topic: (k, topic, payload). Raises Damaged."""
         marks, end = ",".join("?" * len(topics)), 2**31 if to_k is None else to_k
         query = (
-            f"SELECT k, topic, payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
-            " ORDER BY k, topic, item LIMIT ?"
+            f"SELECT k, topic, item, payload, checksum FROM message WHERE run = ? AND k >= ? AND k < ?"
+            f" AND topic IN ({marks}) ORDER BY k, topic, item LIMIT ?"
         )
-        most = PAGE
-        while len(rows := self.rows(query, (run, from_k, end, *topics, most))) == most:  # there may be more
-            last_k = rows[-1][0]  # this dwell may be cut by the end of the page
-            if last_k == from_k:
+        most, last = PAGE, (-1, "", 0)
+        while True:
+            rows = self.rows(query, (run, from_k, end, *topics, most))
+            is_cut = len(rows) == most  # there may be more, also of the last dwell
+            last_k = rows[-1][0] if is_cut else end
+            if is_cut and last_k == from_k:
                 most *= 2
                 continue
-            yield from (tuple(row) for row in rows if row[0] < last_k)
+            for k, topic, item, payload, known in rows:
+                if is_cut and k >= last_k:
+                    break
+                if checksum((run, k, topic, item), payload) != known or (k, topic, item) <= last:  # twice, out of place
+                    row = {"run": run, "k": k, "topic": topic, "item": item}
+                    raise damaged(self.path, "message", row)
+                last = k, topic, item
+                yield k, topic, payload
+            if not is_cut:
+                return
             from_k, most = last_k, PAGE
-        yield from map(tuple, rows)
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
-        query = "SELECT k, payload FROM snapshot WHERE run = ? AND target = ? AND k >= ?"
-        rows = self.read(query, [run, target, from_k])
+        rows = self.stored("snapshot", "WHERE run = ? AND target = ? AND k >= ?", [run, target, from_k])
         return (rows[0]["k"], rows[0]["payload"]) if rows else None
 
     def snapshot_ks(self, run: str) -> dict[int, int]:
@@ -242,18 +319,28 @@ class Journal(Database):
         return next(((row[0], row[1]) for row in self.rows(query, (run,))), (0, 0))
 
     def start(self, run: str) -> RunStart | None:
-        """How a run began, None if it is not there. Raises Unreadable."""
-        rows = self.read(_START, [run])
+        """How a run began, None if it is not there. Raises Unreadable, Damaged."""
+        if (row := self.whole_row(run)) is None:
+            return None
         try:
-            return RunStart.model_validate(rows[0] | {"scenario": json.loads(rows[0]["scenario"])}) if rows else None
+            return RunStart.model_validate(
+                {name: row[name] for name in _START} | {"scenario": json.loads(row["document"])}
+            )
         except (ValueError, TypeError) as error:
             raise Unreadable(" ".join(str(error).split())[:300]) from None
 
+    def whole_row(self, run: str) -> dict[str, Any] | None:
+        """The row of a run with its document, None if it is not there. Raises Damaged."""
+        for row in self.read("SELECT * FROM run WHERE run = ?", [run]):
+            verify(self.path, "run", row)
+            return row
+        return None
+
     def orders(self, run: str) -> list[Order]:
-        """Commands of a run that were granted and are not over. Raises Unreadable."""
-        query = "SELECT n, k, action FROM command WHERE run = ? AND k IS NOT NULL AND over_k IS NULL ORDER BY n"
+        """Commands of a run that were granted and are not over. Raises Unreadable, Damaged."""
+        rows = self.stored("command", "WHERE run = ? ORDER BY n", [run])  # all: over_k may be what is damaged
         try:
-            return [order_of(row) for row in self.read(query, [run])]
+            return [order_of(row) for row in rows if row["k"] is not None and row["over_k"] is None]
         except (ValueError, TypeError) as error:
             raise Unreadable(" ".join(str(error).split())[:300]) from None
 
@@ -269,13 +356,12 @@ class Journal(Database):
 
     def campaign(self) -> dict[str, Any] | None:
         """What the campaign of this store was asked to be, None if it holds none."""
-        rows = self.read("SELECT document FROM campaign")
+        rows = self.stored("campaign", "")
         return json.loads(rows[0]["document"]) if rows else None
 
-    def _end(self, condition: str, values: tuple[str, ...], status: str, reason: str, digest: str | None) -> None:
-        self.write(f"DELETE FROM snapshot WHERE run IN (SELECT run FROM run WHERE {condition})", *values)
-        query = f"UPDATE run SET status = ?, reason = ?, digest = ?, ended_s = ? WHERE {condition}"
-        self.write(query, status, reason, digest, _now_s(), *values)
+    def _end(self, run: str, status: str, reason: str, digest: str | None) -> None:
+        self.write("DELETE FROM snapshot WHERE run = ?", run)
+        self._change(run, status=status, reason=reason, digest=digest, ended_s=_now_s())
 
 
 def _now_s() -> int:

@@ -39,7 +39,8 @@ class KeptSpan:
         wanted_k = max(run.acknowledged[0] - self.most_dwells, self.first_k + excess)
         before_k = int(min(wanted_k, self.first_k + AT_A_TIME, run.acknowledged[0] - ALWAYS_DWELLS))
         if before_k > self.first_k and (before_k := min(before_k, self._needed_k(journal, run))) > self.first_k:
-            self.n_byte -= journal.cut(run.start.run, before_k)
+            n_message, n_byte = journal.cut(run.start.run, before_k)
+            run.n_message, self.n_byte = run.n_message - n_message, self.n_byte - n_byte
             self.first_k = before_k
 
     @staticmethod

@@ -15,7 +15,10 @@ _Journalled = tuple[int, list[bytes]]  # dwell of the first, and what was encode
 
 
 def recalled(journal: Journal, recall: ScanRecall | WaveformRecall) -> list[History]:
-    """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
+    """What is asked for; of a track its snapshot, and the scans only if some track has none that helps.
+
+    Raises Damaged.
+    """
     run, first = recall.run, recall.k
     rates = journal.read("SELECT rate_hz FROM run WHERE run = ?", [run])
     loses_dwells = any(pacing_at(row["rate_hz"]).loses_dwells for row in rates)
@@ -38,9 +41,8 @@ def _addressed(run: str, to: str, topic: _Topic, found: Iterable[_Journalled]) -
 
 def _newest_waveform(journal: Journal, run: str, before: int) -> list[_Journalled]:
     """In real time any waveform will do for a front end that comes back: the newest there is before a dwell."""
-    rows = journal.read(
-        "SELECT k, payload FROM message WHERE run = ? AND topic = 'waveform' AND k < ? ORDER BY k DESC LIMIT 1",
-        [run, before],
+    rows = journal.stored(
+        "message", "WHERE run = ? AND topic = 'waveform' AND k < ? ORDER BY k DESC LIMIT 1", [run, before]
     )
     return [(row["k"], [row["payload"]]) for row in rows]
 
@@ -50,10 +52,8 @@ def _messages(
 ) -> list[_Journalled]:
     """Stored messages from a dwell on, as many as fit into one answer; unless it `has_gaps`, only those before one."""
     payloads: list[bytes] = []
-    rows = journal.read(
-        "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
-        [run, topic, first, most],
-    )
+    which = "WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?"
+    rows = journal.stored("message", which, [run, topic, first, most])
     for k, row in enumerate(rows, first):
         if (row["k"] != k and not has_gaps) or sum(map(len, payloads)) > RECALL_BYTES:
             break

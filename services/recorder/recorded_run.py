@@ -52,6 +52,7 @@ class _Dwell:
 
     since: int  # tick of its first message
     t: int | None = None  # of its scan
+    n_message: int = 0
     has_truth: bool = False
     has_waveform: bool = False
     plans: set[int] = field(default_factory=set)  # tracks
@@ -71,6 +72,7 @@ class RecordedRun:
         self.k = k  # dwells that are complete
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and as of the last checkpoint
+        self.n_message = 0  # of these dwells, in the journal
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell
@@ -137,6 +139,7 @@ class RecordedRun:
         """Note a message of dwell k or later."""
         self.has_news = True
         dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks))
+        dwell.n_message += 1
         goes_on = self.pacing.has_deadlines and isinstance(message, Scan)
         if goes_on:
             self._inactive = 0  # to resend old dwells would only make the next ones late
@@ -194,6 +197,7 @@ class RecordedRun:
     def complete(self) -> None:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
+        self.n_message += 0 if dwell is None else dwell.n_message
         if dwell is not None and dwell.t is not None:
             self.t, self.tracks, self.born_ks, self.known_k = dwell.t, dwell.tracks, dwell.born_ks, self.k
             self._plans = {m: plan for m, plan in self._plans.items() if m in dwell.tracks or plan.k > self.k}

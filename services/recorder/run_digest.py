@@ -15,11 +15,11 @@ class RunDigest:
         self._digest = Digest(run)
 
     def advance(self, journal: Journal, k: int) -> None:
-        """Dwells up to k-1 are complete: take some of those that were not taken yet. Raises Unreadable."""
+        """Dwells up to k-1 are complete: take some of those that were not taken yet. Raises Unreadable, Damaged."""
         self._take(journal, min(k, self._k + CATCH_UP_DWELLS))
 
     def finish(self, journal: Journal) -> str:
-        """Of all that is in the journal. Raises Unreadable."""
+        """Of all that is in the journal. Raises Unreadable, Damaged."""
         self._take(journal, None)
         return self._digest.hexdigest()
 

@@ -193,12 +193,13 @@ def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:
 
 def check_journal(journal: Journal, starts: Sequence[RunStart], said: Collection[bytes]) -> None:
     """All runs came to their end, and what is in the journal was sent. Raises Violated."""
-    for run, k, topic, item, payload in journal.rows("SELECT run, k, topic, item, payload FROM message"):
-        if payload not in said:
-            raise Violated(f"{run}: {topic} {item} of dwell {k} was never sent")
-    if journal.rows("SELECT 1 FROM snapshot"):
-        raise Violated("there are snapshots of runs that are over")
     for start in starts:
+        sent = "SELECT k, topic, item, payload FROM message WHERE run = ?"
+        for k, topic, item, payload in journal.rows(sent, [start.run]):
+            if payload not in said:
+                raise Violated(f"{start.run}: {topic} {item} of dwell {k} was never sent")
+        if journal.rows("SELECT 1 FROM snapshot WHERE run = ?", [start.run]):
+            raise Violated(f"{start.run}: there are snapshots, although it is over")
         (row,) = journal.read(f"{_OF_RUN} WHERE run = ?", [start.run])
         # In real time the clock goes on while the emulator is away; of dwells that never were the recorder is not told.
         may_skip = pacing_at(start.rate_hz).loses_dwells

@@ -12,7 +12,7 @@ from functools import partial
 
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.errors import Deposed, StoreFailed
+from cogradar.services.errors import BadInput, Deposed, StoreFailed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Retention
@@ -127,6 +127,8 @@ class Cluster:
             self._add(key, name or key, role, self._core(role, name or key))
         except (PowerCut, StoreFailed) as error:
             self._died(key, error)
+        except BadInput as error:  # it is no store any more: its process ends, and says so
+            self.disk.refused = str(error)
 
     def kill(self, key: str, *, torn: bool = False) -> None:
         """Kill a process: what it knew, what waited for it and what it had not committed is gone."""

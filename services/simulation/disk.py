@@ -10,6 +10,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ class Disk:
         self.writes_left = 0  # until one is an I/O error; 0: none is
         self._synced = b"", 0  # at the last sync: digest of the file, bytes of the log
         self._is_away = False
+        self.refused = ""  # why the journal cannot be opened any more
 
     def open(self, wait: Callable[[float], None]) -> Journal:
         """The journal of a recorder that is started; `wait` lets its time pass."""
@@ -130,6 +132,15 @@ class Disk:
         if log.exists() and _content(self.path) == before and log.stat().st_size > n_byte:
             with log.open("r+b") as file:
                 file.truncate(int(self._rng.integers(n_byte, log.stat().st_size + 1)))
+
+    def rot(self) -> None:
+        """One bit of the journal is another one, while no recorder is there."""
+        with closing(sqlite3.connect(self.path)) as db:  # what is in the log has SQLite's own checksums
+            db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        content = bytearray(self.path.read_bytes())
+        if content:
+            content[int(self._rng.integers(len(content)))] ^= 1 << int(self._rng.integers(8))
+        self.path.write_bytes(content)
 
     def take_away(self) -> None:
         """Move the files elsewhere."""

@@ -70,6 +70,7 @@ class Kind(StrEnum):
     GONE = "gone"  # a planner ends and never comes back
     UNHEARD = "unheard"  # a process of a pool hears of no token for a while
     ROUTER = "router"  # ... is restarted: no message passes, and processes come back one after the other
+    ROT = "rot"  # the recorder comes back, and one bit of its journal is another one
     MOVED = "moved"  # another process of the role serves the runs for a while, and this one none
 
 
@@ -78,6 +79,7 @@ POOLS = frozenset({Kind.UNHEARD, Kind.ROUTER})
 RARE = (Kind.BROKEN, Kind.UNSYNCED, Kind.REMOVED, Kind.GONE)  # drawn apart, one in RARE_SHARE of the schedules
 RARE_SHARE = 0.15
 MOVED_SHARE = 0.15  # likewise of the schedules in which runs are moved
+ROT_SHARE = 0.04  # ... in which the journal rots: what is damaged is not over, but set aside
 POOLED, POOL = 0.1, 2  # share of the schedules with pools of emulators and allocators, of so many each
 _AT_POOL = (Kind.CRASH, Kind.HANG, Kind.FREEZE, Kind.FREEZE, Kind.GONE, Kind.CUT, Kind.UNHEARD, Kind.ROUTER)
 MOST_AT_POOL = 3  # faults
@@ -85,10 +87,10 @@ JOINED_S = 1.0  # by then the processes of a pool have shared the runs
 CLAIMED_S = 1.5  # after which the shards of a process that is gone have been claimed, as a rule
 TAKEN_OVER_S = 10.0  # after a fault: lease, claims, and the checkpoint that begins a run at its new process
 POOLED_HZ, POOLED_DWELLS = 2.0, 12  # of a run in real time with pools: some dwells are left after a takeover
-DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
+DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.ROT, Kind.RESTORED, Kind.SUCCESSOR, *RARE[:3]})
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 # In real time nothing can be repeated, and no role runs twice at once.
-_OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN})
+_OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN, Kind.ROT})
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {
     Kind.LOSS: (0.02, 0.7),
@@ -180,7 +182,7 @@ class Schedule:
             made = replace(made, pool=POOL)
             made = replace(made, rate_hz=POOLED_HZ, dwells=POOLED_DWELLS) if rate_hz else made
         others = made._pooled(pool_rng) if made.pool > 1 else made._moved()
-        faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *others))
+        faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *others, *made._rotten()))
         if not rate_hz:
             is_commanded = rng.random() < COMMANDED
             return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
@@ -233,7 +235,7 @@ class Schedule:
 
     def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
         others = _OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK
-        possible = sorted(set(Kind) - {*RARE, *POOLS, Kind.MOVED} - others)
+        possible = sorted(set(Kind) - {*RARE, *POOLS, Kind.MOVED, Kind.ROT} - others)
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
@@ -250,6 +252,16 @@ class Schedule:
     def _moved(self) -> tuple[Fault, ...]:
         rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 3)
         return (self._fault(Kind.MOVED, MOST_FAULTS + 1, rng),) if rng.random() < MOVED_SHARE else ()
+
+    def _rotten(self) -> tuple[Fault, ...]:
+        rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 6)
+        is_drawn = rng.random() < ROT_SHARE and not self.pacing.has_deadlines
+        return (self._fault(Kind.ROT, MOST_FAULTS + 3 + MOST_AT_POOL, rng),) if is_drawn else ()
+
+    @property
+    def is_rotten(self) -> bool:
+        """Whether a byte of the journal is changed."""
+        return any(fault.kind is Kind.ROT for fault in self.faults)
 
     def _pooled(self, rng: np.random.Generator) -> tuple[Fault, ...]:
         """Faults of the processes of one pool, and of what they see of each other; of each pool one stays."""

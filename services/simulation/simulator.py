@@ -1,16 +1,19 @@
 """One schedule from its beginning to its end: the faults come and go, and then everything must come right."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from cogradar.services.delivery import pacing
 from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.errors import Damaged
 from cogradar.services.planner import owned_track
 from cogradar.services.recorder import core
+from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal, order_of
+from cogradar.services.recorder.store.check import check_run, damages
 from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
@@ -119,7 +122,8 @@ class Simulator:
             self._let_run()
             found = self._check()
         except Exception as error:  # noqa: BLE001 - whatever it is, it is found
-            violation = f"{type(error).__name__}: {error}"
+            if not (self._schedule.is_rotten and isinstance(error, Damaged)):  # all is held, or cannot be read here
+                violation = f"{type(error).__name__}: {error}"
         return Outcome(self._schedule, violation, cluster.now_s, cluster.counts["handled"], found)
 
     def _let_run(self) -> None:
@@ -136,6 +140,8 @@ class Simulator:
                 if self._is_over():
                     self._settle()
                     return
+        if self._schedule.is_rotten and (self._disk.refused or self._is_held() or self._damaged()):
+            return
         k = [dict(row) for row in self._journal.read("SELECT run, status, acknowledged_k AS k FROM run")]
         raise Violated(f"not over at {latest_s:.1f} s, the faults were at {quiet_s:.1f} s: {k}")
 
@@ -152,16 +158,38 @@ class Simulator:
         rows = self._journal.rows("SELECT COUNT(*) FROM run WHERE status <> 'running'")
         return bool(rows[0][0] == len(self._starts)) and not self._journal.has_uncommitted
 
+    def _is_held(self) -> bool:
+        recorder = self._cluster.processes.get(RECORDER)
+        return recorder is not None and isinstance(recorder.core, Recorder) and bool(recorder.core.trouble)
+
+    def _damaged(self) -> set[str]:
+        """Runs of which damage was noticed: a recorder has set them aside, or a reader finds it."""
+        if not self._schedule.is_rotten:
+            return set()
+        if self._disk.refused or self._is_held():
+            return {start.run for start in self._starts}
+        there = {row[0] for row in self._journal.rows("SELECT run FROM run WHERE status <> 'quarantined'")}
+        return {
+            start.run
+            for start in self._starts
+            if start.run not in there or damages(check_run, self._journal, start.run)
+        }
+
     @property
     def _journal(self) -> Journal:
         return self._disk.journal
 
     def _check(self) -> Fingerprints:
         """All that must hold at the end. Raises Violated."""
-        schedule, starts, said = self._schedule, self._starts, self._cluster.said
-        check_power(starts, self._radiated, {start.run: self._given(start.run) for start in starts})
-        check_journal(self._journal, starts, said)
-        check_waveforms(starts, self._radiated, said.values())
+        schedule, said = self._schedule, self._cluster.said
+        damaged = self._damaged()
+        starts = [start for start in self._starts if start.run not in damaged]
+        radiated = [dwell for dwell in self._radiated if dwell.run not in damaged]
+        given = {start.run: self._given(start.run) for start in starts}
+        check_power(starts, radiated, given)
+        if starts:
+            check_journal(self._journal, starts, said)
+        check_waveforms(starts, radiated, said.values())
         if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
@@ -174,7 +202,7 @@ class Simulator:
                 if all(Role.PLANNER in fault.who + fault.whom for fault in schedule.faults):
                     check_in_time(self._journal, start)
         elif schedule.faults:
-            _compare(found, undisturbed(schedule.plain(self._as_given())))
+            _compare(found, undisturbed(schedule.plain(self._as_given(given))))
         return found
 
     def _given(self, run: str) -> list[Order | None]:
@@ -182,13 +210,13 @@ class Simulator:
         rows = self._journal.read("SELECT n, k, action FROM command WHERE run = ? ORDER BY n", [run])
         return [None if row["k"] is None else order_of(row) for row in rows]
 
-    def _as_given(self) -> tuple[Asked, ...]:
+    def _as_given(self, given: Mapping[str, Sequence[Order | None]]) -> tuple[Asked, ...]:
         """The commands by which a run that nothing disturbs has the same orders: each at the dwell that it came to."""
         refused = Asked(0, PowerLimit(share=0.5), NEVER)
         return tuple(
             replace(refused, run=i) if order is None else Asked(i, order.action, order.k)
             for i, start in enumerate(self._starts)
-            for order in self._given(start.run)
+            for order in given.get(start.run, ())
         )
 
     def _watch(self, run: str, k: int, t: int, waveform: Transmission) -> None:
@@ -259,6 +287,11 @@ class Simulator:
                 process.clock.set(cluster.now_s, pace=1.0)
             case _ if fault.kind in _SWITCHED:
                 self._set(fault, is_there=False)
+            case Kind.ROT:
+                cluster.told.is_restored = True
+                cluster.kill(fault.who)
+                self._disk.rot()
+                self._start(fault.who)
             case Kind.RESTORED | Kind.UNSYNCED:
                 cluster.told.is_restored = True
                 cluster.kill(fault.who)

@@ -6,7 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,7 @@ from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.limits import MAX_ROWS
 from cogradar.shared.scenario.trajectories.csv_files import trajectory
 from tests.services.cli.here import here
+from tests.services.stored import seal
 
 PHASES = [Phase.explicit, Phase.reuse, Phase.generate]  # to shrink a store would take minutes
 SHARED = settings(phases=PHASES, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
@@ -177,7 +178,7 @@ def damage(draw: st.DrawFn) -> Callable[[Path], None]:
         "ALTER TABLE message RENAME COLUMN payload TO said",
     ]
     statement, value = draw(st.sampled_from(sql)), draw(PAYLOADS)
-    length = draw(st.integers(0, 400))
+    length, is_sealed = draw(st.integers(0, 400)), draw(st.booleans())
 
     def bytes_changed(file: Path) -> None:
         content = bytearray(file.read_bytes())
@@ -189,6 +190,9 @@ def damage(draw: st.DrawFn) -> Callable[[Path], None]:
     def rows_changed(file: Path) -> None:
         with closing(sqlite3.connect(file)) as db, db:
             db.execute(statement, (length if "substr" in statement else value,) if "?" in statement else ())
+        if is_sealed:  # as another program would write it
+            with suppress(Failure), closing(Journal(str(file))) as journal:
+                seal(journal)
 
     return draw(st.sampled_from((rows_changed, bytes_changed)))
 
@@ -222,6 +226,8 @@ def test_a_recorder_goes_on_with_a_damaged_journal_or_refuses_it(
     with closing(sqlite3.connect(file)) as db, db:
         db.execute("UPDATE run SET status = 'running', acknowledged_k = ?, acknowledged_t = 0, digest = NULL", (k,))
         db.execute("DELETE FROM message WHERE k > ?", (k + 2,))
+    with closing(Journal(str(file))) as journal:
+        seal(journal)
     harm(file)
     try:
         recorder = Recorder(Journal(str(file)), resume=True)

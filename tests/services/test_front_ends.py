@@ -25,6 +25,7 @@ from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin
 from tests.services.loop import SMOKE, checkpoint
+from tests.services.stored import seal
 from tests.udp_device import Device
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -210,6 +211,7 @@ def test_a_recording_with_a_gap_is_refused(recording: tuple[str, str, str], tmp_
     file.write_bytes(Path(recording[0]).read_bytes())
     journal = Journal(str(file))
     journal.write("DELETE FROM message WHERE k = 3 AND topic = 'scan'")
+    seal(journal)
     journal.close()
     with pytest.raises(BadInput, match="only a run without gaps"):
         open_front_end(f"recorded:{file}")

@@ -66,7 +66,7 @@ COMMANDS = {
         ),
     ),
     "report": Shown(STUDY, ("report paper.db", "report paper.db --strategy power-aware --json")),
-    "store": Shown(STUDY, ("store copy runs.db postgresql://radar@db.example/radar",)),
+    "store": Shown(STUDY, ("store check runs.db", "store copy runs.db postgresql://radar@db.example/radar")),
     "certs": Shown(SECURE, ("certs init", "certs issue planner.a", "certs issue router --host radar.example")),
     "service": Shown(
         SYSTEM,

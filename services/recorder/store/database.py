@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from cogradar.services.errors import BadInput, Deposed, MissingLibrary, NoRoom, StoreFailed
 from cogradar.services.recorder.store.address import Address, is_server
+from cogradar.services.recorder.store.seal import LISTED, QUARANTINED, sealed, verify
 from cogradar.services.recorder.store.sqlite import SqliteConnection
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.scenario.faults import printable
@@ -55,6 +56,9 @@ class Connection(Protocol):
 
     def expire_after(self, seconds: float) -> None:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
+
+    def faults(self) -> list[str]:
+        """What is wrong with how the store is laid out, as far as it can tell."""
 
     def n_byte(self) -> int:
         """Bytes of the store."""
@@ -117,7 +121,8 @@ class Database:
         """
         self._begin(self._connection.begin_to_lead)
         self.epoch = self.epoch or max(self._newest().epoch + 1, self._now_us())
-        self._execute("INSERT INTO leader VALUES (?, ?) ON CONFLICT DO NOTHING", (self.epoch, self._owner))
+        row = sealed("leader", {"epoch": self.epoch, "name": self._owner})
+        self._execute("INSERT INTO leader VALUES (?, ?, ?) ON CONFLICT DO NOTHING", tuple(row.values()))
         last = "SELECT epoch FROM leader ORDER BY epoch DESC LIMIT ?"
         self._execute(f"DELETE FROM leader WHERE epoch NOT IN ({last})", (KEPT_LEADERS,))
 
@@ -128,10 +133,10 @@ class Database:
             raise deposed(self.epoch, newest.epoch, f"{newest.name} has {self.path}")
 
     def _newest(self) -> _Leader:
-        for row in self.rows("SELECT epoch, name FROM leader ORDER BY epoch DESC LIMIT 1"):
-            if not row[0] < MAX_EPOCH:
-                raise BadInput(f"{self.path}: leader.epoch = {row[0]}: must be below {MAX_EPOCH}")
-            return _Leader(row[0], printable(str(row[1]))[:100])
+        for row in self.stored("leader", "ORDER BY epoch DESC LIMIT 1"):
+            if not row["epoch"] < MAX_EPOCH:
+                raise BadInput(f"{self.path}: leader.epoch = {row['epoch']}: must be below {MAX_EPOCH}")
+            return _Leader(row["epoch"], printable(str(row["name"]))[:100])
         return _Leader(0, "")
 
     def _now_us(self) -> int:
@@ -184,6 +189,10 @@ class Database:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
         self._connection.expire_after(seconds)
 
+    def faults(self) -> list[str]:
+        """What is wrong with how the store is laid out, as far as the kind of store can tell."""
+        return self._connection.faults()
+
     def n_byte(self) -> int:
         """Bytes of the store; 0 in memory."""
         return self._connection.n_byte()
@@ -221,6 +230,14 @@ class Database:
     def rows(self, query: str, parameters: Sequence[Any] = ()) -> list[Any]:
         """The same as they come, to be indexed: many numbers are read in half the time."""
         return self._connection.rows(query, parameters)
+
+    def stored(self, table: str, which: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Whole rows of a table, without the documents of runs, each as it was written. Raises Damaged."""
+        rows = self.read(f"SELECT {LISTED[table]} FROM {table} {which}", parameters)
+        for row in rows:
+            if row.get("status") != QUARANTINED:  # a run that is set aside says so, whatever else its row says
+                verify(self.path, table, row)
+        return rows
 
     # Temporary tables belong to this connection only, whatever may be written to the store.
 

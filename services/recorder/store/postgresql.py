@@ -26,6 +26,7 @@ from psycopg.types.string import StrDumper
 
 from cogradar.services.errors import BadInput, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.recorder.store.address import FORM, Address
+from cogradar.services.recorder.store.seal import damage
 from cogradar.services.recorder.store.tables import SCHEMA_VERSION, described, statements
 from cogradar.shared.scenario.faults import printable
 
@@ -48,6 +49,7 @@ _AWAY = re.compile(
     "08|57P|25P03|25006|55P03"
 )  # states: lost or ended sessions, a server that begins, a replica, a lock
 _FULL = re.compile("53")
+_DAMAGED = re.compile("XX00[12]")  # of a table, or of an index
 _Result = TypeVar("_Result")
 _Connection = psycopg.Connection[tuple[Any, ...]]
 
@@ -267,6 +269,10 @@ class PostgresqlConnection:
         names = [column.name for column in cursor.description or ()]
         return [dict(zip(names, row, strict=True)) for row in cursor]
 
+    def faults(self) -> list[str]:
+        """The server looks after its pages, where it has checksums of them."""
+        return []
+
     def n_byte(self) -> int:
         """Bytes of its tables."""
         query = (
@@ -337,6 +343,8 @@ class PostgresqlConnection:
             return Unreachable(text)
         if _AWAY.match(state):
             return Unreachable(text)
+        if _DAMAGED.match(state):
+            return damage(self.name, self._said(error))
         return NoRoom(text) if _FULL.match(state) else StoreFailed(text)
 
     def _said(self, error: Exception) -> str:

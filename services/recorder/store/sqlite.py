@@ -12,12 +12,13 @@ import weakref
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from cogradar.services.errors import BadInput, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
 from cogradar.services.recorder.store.lock import JournalLock
+from cogradar.services.recorder.store.seal import damage
 from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, statements
 from cogradar.shared.scenario.faults import printable
 
@@ -28,6 +29,8 @@ MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 Mi
 STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks at how many a question took
 STEPS, STEPS_PER_BYTE = 200_000_000, 20  # that a question may take: some seconds, and longer for a long file
 _ACTING = "trigger view index table"  # what a schema holds, in the order in which it is named
+_NO_TEXT = "Could not decode to UTF-8"  # how an error of Python's begins, and not of SQLite's
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_IOERR_READ", "SQLITE_IOERR_SHORT_READ")
 _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
 
 
@@ -110,6 +113,10 @@ class SqliteConnection:
         if not has_room(self.name):
             raise NoRoom(f"{self.name}: the disk is full")
 
+    def faults(self) -> list[str]:
+        """What SQLite finds wrong with its pages."""
+        return [text for (text,) in self.rows("PRAGMA quick_check(10)", ()) if text != "ok"]
+
     def n_byte(self) -> int:
         """Bytes of the file with its log."""
         return _size(self.name)
@@ -136,7 +143,15 @@ class SqliteConnection:
         try:
             return self.db.execute(query, parameters).fetchall()
         except sqlite3.Error as error:
+            if not str(error).startswith(_NO_TEXT):
+                raise failure(self.name, error) from None
+        self.db.text_factory = partial(str, encoding="utf-8", errors="replace")  # then its checksum does not fit
+        try:
+            return self.db.execute(query, parameters).fetchall()
+        except sqlite3.Error as error:
             raise failure(self.name, error) from None
+        finally:
+            self.db.text_factory = str
 
     def read(self, query: str, parameters: Sequence[Any]) -> list[dict[str, Any]]:
         """Rows of a SELECT."""
@@ -273,7 +288,9 @@ def displaced(path: str, place: Place) -> str:
 def failure(path: str, error: Exception) -> StoreFailed:
     """What SQLite says of a file in use."""
     if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
-        return StoreFailed(printable(f"{path}: a question took more steps than so many bytes can need: it is damaged"))
+        return damage(path, "a question took more steps than so many bytes can need: it is damaged")
+    if getattr(error, "sqlite_errorname", "").startswith(_DAMAGED):
+        return damage(path, str(error))
     return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
 
 
@@ -337,7 +354,8 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY") or _is_for_want_of_room(error):
         return failure(path, error)
-    if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
+    name = getattr(error, "sqlite_errorname", "")
+    if name == "SQLITE_INTERRUPT":
         return BadInput(str(failure(path, error)))
     try:
         Path(path).open("rb" if read_only else "ab").close()
@@ -348,4 +366,6 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
             guess = f"; did you mean {close[0]}?" if close else ""
             return NoStoreYet(f"{path!r}: no such file{guess}")
         return BadInput(f"{path}: {of_system.strerror}")
+    if name.startswith(_DAMAGED) and name != "SQLITE_NOTADB":  # which is any other file
+        return BadInput(str(failure(path, error)))
     return BadInput(printable(f"{path}: {error}"))  # SQLite quotes what it found in the file

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 19
+SCHEMA_VERSION = 20
 MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
 MEMORY = ":memory:"
 ALL_ROWS = 2**62  # as a LIMIT
@@ -44,7 +44,12 @@ CREATE TABLE run ( -- one row per run
     reason TEXT NOT NULL DEFAULT '', -- why it ended before its last dwell
     digest TEXT, -- SHA-256 over scans, plans and waveforms, once complete
     began_s INTEGER NOT NULL, -- [s] when its start was recorded, since 1970 in UTC
-    ended_s INTEGER -- [s] when it ended, since 1970 in UTC
+    ended_s INTEGER, -- [s] when it ended, since 1970 in UTC
+    messages INTEGER NOT NULL DEFAULT 0, -- [messages] of dwells k below acknowledged_k in the file
+    commands INTEGER NOT NULL DEFAULT 0, -- [commands] to it in the file
+    scores_checksum INTEGER, -- CRC-32 of its rows of score and picture, null if none are kept
+    document_checksum INTEGER NOT NULL, -- CRC-32 of its document
+    checksum INTEGER NOT NULL -- CRC-32 of all of the row but its document
     );
 CREATE TABLE message ( -- every message of a run, as it was sent, a campaign's store has the waveforms of few dwells
     run TEXT NOT NULL, -- its run
@@ -52,12 +57,14 @@ CREATE TABLE message ( -- every message of a run, as it was sent, a campaign's s
     topic TEXT NOT NULL, -- scan, truth, plan or waveform
     item INTEGER NOT NULL, -- of a plan its track, of others 0
     payload BLOB NOT NULL, -- [MessagePack] as on the wire, where tracks count from 0
+    checksum INTEGER NOT NULL, -- CRC-32 of the row
     PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
 CREATE TABLE snapshot ( -- what a track was, of runs that go on
     run TEXT NOT NULL, -- its run
     target INTEGER NOT NULL, -- its track
     k INTEGER NOT NULL, -- after this dwell
     payload BLOB NOT NULL, -- [MessagePack] the newest one, gone when the run has ended
+    checksum INTEGER NOT NULL, -- CRC-32 of the row
     PRIMARY KEY (run, target));
 CREATE TABLE command ( -- what somebody asked of a run that went on
     run TEXT NOT NULL, -- its run
@@ -69,20 +76,23 @@ CREATE TABLE command ( -- what somebody asked of a run that went on
     k INTEGER, -- the first dwell under it, null if it was refused
     reason TEXT NOT NULL DEFAULT '', -- why it was refused
     over_k INTEGER, -- [dwells] no dwell from this one on is shaped by it, null before
+    checksum INTEGER NOT NULL, -- CRC-32 of the row
     PRIMARY KEY (run, n), UNIQUE (run, id)) WITHOUT ROWID;
 CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name
     );
 CREATE TABLE leader ( -- the recorders that led the runs of this file, one after the other
     epoch INTEGER PRIMARY KEY, -- [us] when it began, since 1970 in UTC, or later, the highest one leads
-    name TEXT NOT NULL -- of its process
+    name TEXT NOT NULL, -- of its process
+    checksum INTEGER NOT NULL -- CRC-32 of the row
     );
 CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
 {definition(SCORE, SCORE_KEY)}) WITHOUT ROWID;
 CREATE TABLE picture ( -- all tracks and targets of each dwell together, like score
 {definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID;
 CREATE TABLE campaign ( -- what a campaign was asked to be
-    document TEXT NOT NULL -- [JSON] scenarios, strategies, seeds, and a digest of the program
+    document TEXT NOT NULL, -- [JSON] scenarios, strategies, seeds, and a digest of the program
+    checksum INTEGER NOT NULL -- CRC-32 of the row
     );
 """
 

@@ -27,6 +27,7 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode
 from tests.services.loop import play, scans
+from tests.services.stored import seal
 from tests.skies import sky_start
 
 DWELLS, TRACKS = 70, 2  # more than a core gets between two checkpoints
@@ -74,12 +75,12 @@ def _change(store: Store, topic: str, item: int, **changed: object) -> None:
     other = encode(_message(store, topic, item).model_copy(update=changed))
     where = "WHERE k = ? AND topic = ? AND item = ?"
     assert store.journal.write(f"UPDATE message SET payload = ? {where}", other, AT, topic, item) == 1  # noqa: S608
-    store.journal.commit()
+    seal(store.journal)
 
 
 def _remove(store: Store, topic: str, item: int) -> None:
     assert store.journal.write("DELETE FROM message WHERE k = ? AND topic = ? AND item = ?", AT, topic, item) == 1
-    store.journal.commit()
+    seal(store.journal)
 
 
 @pytest.mark.parametrize(("to", "each"), [("planner", TRACKS), ("allocator", 1)])
@@ -153,6 +154,7 @@ def test_a_waveform_after_a_scan_of_an_older_roster_is_not_compared_in_real_time
     _change(store, "scan", 0, roster=older)
     assert replay(_stored(store), "allocator").difference is not None  # in lockstep it is one
     store.journal.write("UPDATE run SET rate_hz = 5.0")
+    seal(store.journal)
     outcome = replay(_stored(store), "allocator")
     assert (outcome.difference, outcome.late) == (None, 1)
     assert outcome.agreed == _k(store) - 1
@@ -162,6 +164,7 @@ def test_a_waveform_after_a_scan_of_an_older_roster_is_not_compared_in_real_time
 def test_another_planner_is_found(store: Store) -> None:
     """As after a change of its code: here of what its document says."""
     store.journal.write("UPDATE run SET document = json_set(document, '$.radar.planner.n_sim', 7)")
+    seal(store.journal)
     outcome = replay(_stored(store), "planner")
     assert outcome.difference is not None
     assert (outcome.difference.track, outcome.difference.field, outcome.difference.now) == (1, "n_sim", "7")
@@ -170,6 +173,7 @@ def test_another_planner_is_found(store: Store) -> None:
 
 def test_in_real_time_what_the_clock_decided_is_left_out_and_counted(store: Store) -> None:
     store.journal.write("UPDATE run SET rate_hz = 10.0")
+    seal(store.journal)
     plan = _message(store, "plan", 1)
     assert isinstance(plan, Plan)
     _change(store, "plan", 1, n_sim=plan.n_sim - 1, bins=(plan.bins + 1) % 16)

@@ -25,6 +25,7 @@ from cogradar.shared.protocol.orders import (
 )
 from cogradar.shared.wire.codec import encode
 from tests.services.loop import play, scans, waveforms
+from tests.services.stored import seal
 from tests.skies import sky_start
 
 START = sky_start(dwells=20)
@@ -70,6 +71,7 @@ def test_a_command_that_cannot_be_read_is_named(store: Store, action: str) -> No
     store.journal.add_command(_command(1, LOOK), 1, 5, "")
     assert [row["action"]["kind"] for row in answer(store, "orders", {"run": "r"})] == ["look"]
     store.journal.write("UPDATE command SET action = ?", action)
+    seal(store.journal)
     for metric in ("commands", "orders"):
         with pytest.raises(BadInput, match="run = 'r': command 1 cannot be read: "):
             answer(store, metric, {"run": "r"})

@@ -20,6 +20,7 @@ from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from cogradar.shared.signal.receiver import threshold
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start
+from tests.services.stored import seal
 
 DWELLS = 20
 
@@ -146,7 +147,7 @@ def test_a_journal_that_was_restored_from_an_older_state_is_scored_anew(sent: li
     reader = Store(Journal(path, read_only=True))
     n = len(_scores(reader))
     journal.write("UPDATE run SET acknowledged_k = 5, acknowledged_t = 3")
-    journal.commit()
+    seal(journal)
     assert 0 < len(_scores(reader)) < n
     reader.close()
     journal.close()

@@ -24,6 +24,7 @@ from cogradar.shared.wire.codec import encode
 from tests.samples import digest
 from tests.services.loop import plans, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged
+from tests.services.stored import seal
 
 pytestmark = pytest.mark.usefixtures("either_store")
 
@@ -135,7 +136,7 @@ def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(
         core.handle(message)
     journal.write("UPDATE run SET acknowledged_k = 3, acknowledged_t = 1 WHERE run = 'bad'")
     journal.write(*damage)
-    journal.commit()
+    seal(journal)  # as another program would have written it
     again = RecorderCore(journal, resume=True)
     (bad,) = journal.read("SELECT status, reason FROM run WHERE run = 'bad'")
     assert bad["status"] == "quarantined"
@@ -161,7 +162,7 @@ def test_a_message_that_is_torn_long_since_sets_its_run_aside_when_the_digest_co
     core = RecorderCore(journal)
     acknowledged(core, sent[:-1])
     journal.write("UPDATE message SET payload = ? WHERE topic = 'scan' AND k = 2", bytes(20))
-    journal.commit()
+    seal(journal)
     again = RecorderCore(journal, resume=True)
     again.handle(smoke_start(run="other"))
     assert isinstance(sent[-1], RunEnd)

@@ -13,6 +13,7 @@ from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.database import KEPT_LEADERS, Database
 from cogradar.services.recorder.store.lock import JournalLock
+from cogradar.services.recorder.store.seal import sealed
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.protocol.messages import Checkpoint, Message
@@ -149,7 +150,7 @@ def test_of_many_recorders_the_last_ones_are_kept(path: str) -> None:
 
 def test_an_epoch_that_nobody_can_follow_is_refused(path: str, recorder: Begin) -> None:
     journal = Journal(path)
-    journal.write("INSERT INTO leader VALUES (?, 'x')", MAX_EPOCH)
+    journal.add_rows("leader", [sealed("leader", {"epoch": MAX_EPOCH, "name": "x"})])
     journal.close()
     with pytest.raises(BadInput, match=r"runs\.db: leader\.epoch = \d+: must be below \d+"):
         recorder()

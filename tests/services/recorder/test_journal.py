@@ -18,7 +18,7 @@ from cogradar.services.recorder.store.tables import SCHEMA_VERSION
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
-from tests.services.stored import rows
+from tests.services.stored import rows, seal
 
 
 def _foreign(path: Path, *statements: str) -> bytes:
@@ -215,12 +215,12 @@ def test_what_is_not_committed_is_not_seen_and_can_be_undone(tmp_path: Path) -> 
     assert (journal.start("r"), reader.start("r")) == (smoke_start(), None)
     journal.commit()
     assert reader.start("r") == smoke_start()
-    journal.acknowledge("r", 5, 3)
+    journal.acknowledge("r", 5, 3, 0)
     journal.rollback()
     assert [journal.has_uncommitted] == [False]
     columns = "SELECT acknowledged_k AS k, acknowledged_t AS t, acquisition_scans AS n FROM run"
     assert journal.read(columns) == [{"k": 0, "t": 0, "n": None}]
-    journal.acknowledge("r", 5, 3)
+    journal.acknowledge("r", 5, 3, 0)
     journal.close()
     assert reader.read(columns) == [{"k": 5, "t": 3, "n": 2}]
     reader.close()
@@ -280,7 +280,7 @@ def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goe
     for name in "ab":
         _end(core, name)
     journal.write("UPDATE run SET ended_s = ended_s - 90000 WHERE run = 'a'")
-    journal.commit()
+    seal(journal)
     RecorderCore(journal, resume=True, keep=Retention(days=1.0))
     assert _runs(journal) == (["b"], ["a", "b"])
     again = RecorderCore(journal, resume=True)

@@ -475,3 +475,9 @@ def test_so_many_schedules_hold() -> None:
     assert tally.failed == {}
     assert tally.faults > 2 * IN_CI
     assert tally.handled > DWELLS * IN_CI
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bit_of_the_journal_that_flips_changes_no_run_without_notice(seed: int) -> None:
+    """The run is set aside, all runs are held, the file is refused, or nothing that is read has changed."""
+    assert _played(Fault(Kind.ROT, 0.003, 0.02, "recorder-0"), seed=seed).violation == ""

@@ -13,6 +13,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.wire.codec import encode
 from tests.samples import asked
+from tests.services.stored import seal
 
 
 def long_run(path: Path, dwells: int) -> Path:
@@ -66,7 +67,8 @@ def long_run(path: Path, dwells: int) -> Path:
         for message in said:
             item = message.target + 1 if isinstance(message, Plan) else 0
             journal.add_message("long", k, BY_MESSAGE[type(message)].name, item, encode(message))
-    journal.acknowledge("long", dwells + acquisition, dwells)
+    journal.acknowledge("long", dwells + acquisition, dwells, 0)
     journal.write("UPDATE run SET status = 'complete', digest = '0'")
+    seal(journal)
     journal.close()
     return path

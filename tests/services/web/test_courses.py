@@ -39,7 +39,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
     path, paper, rng = tmp_path_factory.mktemp("long") / "runs.db", load("paper"), random.Random(1)  # noqa: S311 - a test's own numbers
     journal, start = Journal(str(path)), RunStart.of(paper, Strategy.UNIFORM, 1, T)
     journal.add_run(start.model_copy(update={"run": "long"}))
-    journal.acknowledge("long", T + SCANS, T)
+    journal.acknowledge("long", T + SCANS, T, 0)
     (row,) = journal.read("SELECT * FROM run")
     bins = {m: 20 * m for m in range(1, paper.radar.announced + 1)}
     outages = {

@@ -1,6 +1,5 @@
 """Dwells as they are told: encoded once for streams and answers, kept within bounds, and packed for who can unpack."""
 
-import sqlite3
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,10 @@ import pytest
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.store import in_memory
+from cogradar.services.recorder.journal import Journal
 from cogradar.services.web.app import create
 from cogradar.services.web.views import dwells
+from tests.services.stored import seal
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.long_run import long_run
 
@@ -55,9 +56,9 @@ def test_a_run_that_was_rewound_is_encoded_anew(journal: Path, tmp_path: Path, e
     t, k = newest["t"], newest["k"]
     assert encoded == list(range(1, t + 1))
     for to_k, to_t in ((k, t - 1), (k + 1, t)):
-        with closing(sqlite3.connect(path)) as theirs:
-            theirs.execute("UPDATE run SET acknowledged_k = ?, acknowledged_t = ? WHERE run = 'begun'", [to_k, to_t])
-            theirs.commit()
+        with closing(Journal(str(path))) as theirs:
+            theirs.write("UPDATE run SET acknowledged_k = ?, acknowledged_t = ? WHERE run = 'begun'", to_k, to_t)
+            seal(theirs)
         assert ask(app, f"{RUNS}/begun/dwells").json()["dwells"][0]["t"] == to_t
     core.close()
     assert encoded[t:] == [t - 1, t]

@@ -39,7 +39,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
     for i in range(n_run):
         start = RunStart.of(paper, list(Strategy)[i % 3], i // 3 + 1, dwells)
         journal.add_run(start)
-        journal.acknowledge(start.run, dwells + 10, dwells)
+        journal.acknowledge(start.run, dwells + 10, dwells, 0)
         (row,) = journal.read("SELECT * FROM run WHERE run = ?", [start.run])
         scores = [
             (

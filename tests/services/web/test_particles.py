@@ -16,6 +16,7 @@ from cogradar.services.web.views import particles
 from cogradar.services.web.views.radar import facts
 from cogradar.shared.protocol.messages import Message, Plan
 from cogradar.shared.wire.codec import encode
+from tests.services.stored import seal
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.test_views import get
 
@@ -109,6 +110,7 @@ def test_without_scans_there_is_no_belief(core: MetricsCore, journal: Path, tmp_
     path.write_bytes(journal.read_bytes())
     theirs = Journal(str(path))
     theirs.write("DELETE FROM message WHERE run = 'whole' AND topic = 'scan' AND k > 6")
+    seal(theirs)
     theirs.close()
     other = MetricsCore(str(path))
     known = facts(core.store, "whole")

@@ -144,7 +144,7 @@ def test_without_the_lock_no_commit_comes_after_one_of_a_successor(postgresql: S
     second.lead()
     second.commit()
     with pytest.raises(Deposed):
-        first.acknowledge("r", 5, 3)
+        first.acknowledge("r", 5, 3, 0)
     assert second.read("SELECT acknowledged_k FROM run") == [{"acknowledged_k": 0}]
 
 
@@ -398,7 +398,7 @@ def test_stores_are_copied_both_ways_and_only_into_empty_ones(postgresql: Server
             )
     assert sorted(contents[1][1]) == contents[0][1] == contents[2][1]
     assert [c[0] for c in contents] == [contents[0][0]] * 3
-    assert contents[0][0][0][-3] == digest
+    assert digest in contents[0][0][0]
     done = CliRunner().invoke(app, ["store", "copy", file, url])
     assert (done.exit_code, "has rows: copy to a new file or an empty schema" in done.output) == (2, True)
 
