@@ -20,6 +20,7 @@ from cogradar.services.recorder.store.seal import (
     SEALED,
     checksum,
     damaged,
+    message_checksum,
     scores_checksum,
     sealed,
     verify,
@@ -64,6 +65,15 @@ def order_of(row: dict[str, Any]) -> Order:
 class Journal(Database):
     """The rows of runs. Written: what gathers in one transaction until `commit`; read: what is committed, and that."""
 
+    def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
+        super().__init__(path, owner=owner, read_only=read_only)
+        self._running: dict[str, dict[str, Any]] = {}  # rows of runs as this process verified or wrote them last
+
+    def rollback(self) -> None:
+        """Undo what was written since the last commit."""
+        self._running.clear()
+        super().rollback()
+
     def add_run(self, start: RunStart) -> None:
         """Record that a run began; a repeated start changes nothing."""
         world, n_track = start.scenario["world"], start.scenario["radar"]["tracks"]
@@ -95,14 +105,25 @@ class Journal(Database):
 
     def _change(self, run: str, **values: Any) -> None:
         """Change columns of a run. Raises Damaged: what is damaged keeps the checksum that does not fit it."""
-        for row in self.stored("run", _ONE, [run]):
-            changed = values | {CHECKSUM: sealed("run", row | values)[CHECKSUM]}
-            self.write(f"UPDATE run SET {', '.join(f'{name} = ?' for name in changed)} {_ONE}", *changed.values(), run)
+        if (row := self._row(run)) is None:
+            return
+        row = sealed("run", row | values)
+        statement = f"UPDATE run SET {' = ?, '.join(values)} = ?, {CHECKSUM} = ? {_ONE}"
+        if self.write(statement, *values.values(), row[CHECKSUM], run) != 1:
+            raise damaged(self.path, "run", row, "it is gone")
+        if row["status"] == "running":
+            self._running[run] = row
+        else:
+            self._running.pop(run, None)
 
     def _add(self, run: str, **values: int) -> None:
         """Add to what a run's row counts. Raises Damaged."""
-        for row in self.stored("run", _ONE, [run]):
+        if (row := self._row(run)) is not None:
             self._change(run, **{name: row[name] + value for name, value in values.items()})
+
+    def _row(self, run: str) -> dict[str, Any] | None:
+        """The row of a run, None if it is not there. Raises Damaged. One that goes on is read once."""
+        return self._running.get(run) or next(iter(self.stored("run", _ONE, [run])), None)
 
     def acknowledge(self, run: str, k: int, t: int, n_message: int) -> None:
         """Record that dwells 0 .. k-1 of a run are complete, with so many messages, and the clock t of the last one."""
@@ -168,6 +189,7 @@ class Journal(Database):
 
     def quarantine_damaged(self) -> list[tuple[str, str]]:
         """Set aside the runs whose own rows are damaged: names and reasons."""
+        self._running.clear()
         found = list[tuple[str, str]]()
         for row in self.read(f"SELECT {LISTED['run']} FROM run WHERE status <> ?", [QUARANTINED]):
             try:
@@ -194,7 +216,7 @@ class Journal(Database):
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
         query = "INSERT INTO message VALUES (?,?,?,?,?,?) ON CONFLICT DO NOTHING"
-        return self.write(query, run, k, topic, item, payload, checksum((run, k, topic, item), payload)) == 1
+        return self.write(query, run, k, topic, item, payload, message_checksum(run, k, topic, item, payload)) == 1
 
     def add_command(self, command: Command, n: int, k: int | None, reason: str) -> None:
         """Record a command: granted from dwell k on, or refused."""
@@ -292,7 +314,8 @@ class Journal(Database):
             for k, topic, item, payload, known in rows:
                 if is_cut and k >= last_k:
                     break
-                if checksum((run, k, topic, item), payload) != known or (k, topic, item) <= last:  # twice, out of place
+                is_after = (k, topic, item) > last  # else it is there twice, or out of place
+                if not is_after or message_checksum(run, k, topic, item, payload) != known:
                     row = {"run": run, "k": k, "topic": topic, "item": item}
                     raise damaged(self.path, "message", row)
                 last = k, topic, item
@@ -361,6 +384,7 @@ class Journal(Database):
 
     def _end(self, run: str, status: str, reason: str, digest: str | None) -> None:
         self.write("DELETE FROM snapshot WHERE run = ?", run)
+        self._running.pop(run, None)  # it is read once more, and verified
         self._change(run, status=status, reason=reason, digest=digest, ended_s=_now_s())
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 from cogradar.services.errors import BadInput, Deposed, MissingLibrary, NoRoom, StoreFailed
 from cogradar.services.recorder.store.address import Address, is_server
-from cogradar.services.recorder.store.seal import LISTED, QUARANTINED, sealed, verify
+from cogradar.services.recorder.store.seal import CHECKSUM, LISTED, QUARANTINED, sealed, verify
 from cogradar.services.recorder.store.sqlite import SqliteConnection
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.scenario.faults import printable
@@ -95,6 +95,7 @@ class Database:
         """
         self._owner = owner
         self.commits = Durations()
+        self._newest_row: tuple[Any, ...] = ()  # of the leaders, as it was verified: it is read with each transaction
         self.epoch = 0  # of the recorder that leads the runs of this store; 0: this process leads none
         self._is_closed = False
         self._connection = _connect(path, owner, read_only=read_only)
@@ -130,13 +131,16 @@ class Database:
         """Raises Deposed, with the transaction undone, if a recorder that began later leads the runs of this store."""
         if self.epoch and (newest := self._newest()).epoch > self.epoch:
             self.rollback()
-            raise deposed(self.epoch, newest.epoch, f"{newest.name} has {self.path}")
+            raise deposed(self.epoch, newest.epoch, f"{printable(str(newest.name))[:100]} has {self.path}")
 
     def _newest(self) -> _Leader:
-        for row in self.stored("leader", "ORDER BY epoch DESC LIMIT 1"):
-            if not row["epoch"] < MAX_EPOCH:
-                raise BadInput(f"{self.path}: leader.epoch = {row['epoch']}: must be below {MAX_EPOCH}")
-            return _Leader(row["epoch"], printable(str(row["name"]))[:100])
+        for epoch, name, known in self.rows(f"SELECT {LISTED['leader']} FROM leader ORDER BY epoch DESC LIMIT 1"):
+            if (epoch, name, known) != self._newest_row:
+                verify(self.path, "leader", {"epoch": epoch, "name": name, CHECKSUM: known})
+                self._newest_row = epoch, name, known
+            if not epoch < MAX_EPOCH:
+                raise BadInput(f"{self.path}: leader.epoch = {epoch}: must be below {MAX_EPOCH}")
+            return _Leader(epoch, name)
         return _Leader(0, "")
 
     def _now_us(self) -> int:

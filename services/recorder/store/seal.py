@@ -5,6 +5,7 @@ a file and on a server, and a copy keeps it. It protects against failing disks a
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 from zlib import crc32
 
@@ -30,6 +31,19 @@ def checksum(values: tuple[Any, ...], payload: Any = b"") -> int:
     """CRC-32 of the values of a row; of the last one its bytes, if it is a payload."""
     known = payload if isinstance(payload, bytes) else ascii(payload).encode()
     return crc32(known, crc32(ascii(values).encode()))
+
+
+def message_checksum(run: str, k: int, topic: str, item: int, payload: bytes) -> int:
+    """The same of a message: there are many of them, and it takes a third of the time."""
+    try:
+        return crc32(payload, (_seed(run, topic) + k * 65537 + item) & 0xFFFFFFFF)  # of another k or item it differs
+    except TypeError:
+        return -1  # no message: numbers and bytes are of another kind
+
+
+@lru_cache(maxsize=1024)
+def _seed(run: str, topic: str) -> int:
+    return crc32(ascii((run, topic)).encode())
 
 
 def scores_checksum(scores: Sequence[Mapping[str, Any]], picture: Sequence[Mapping[str, Any]]) -> int | None:
@@ -80,6 +94,8 @@ def cure(store: str) -> str:
 
 
 def _checksum(table: str, row: Mapping[str, Any]) -> int:
+    if table == "message":
+        return message_checksum(*(row[name] for name in SEALED[table]))
     kinds = _KINDS[table]
     *values, last = [_plain(row[name], kinds[name]) for name in SEALED[table]]
     return checksum(tuple(values), last) if isinstance(last, bytes) else checksum((*values, last))

@@ -186,6 +186,24 @@ def test_a_recorder_sets_a_damaged_run_aside_and_goes_on_with_the_other(
     assert (row["status"], row["reason"]) == ("quarantined", found[LIVE]["reason"])
 
 
+def test_a_run_whose_row_is_damaged_while_it_goes_on_is_set_aside_at_its_end(name: str, sent: list[Message]) -> None:
+    """Its recorder does not read it meanwhile, and writes no checksum that fits what was damaged."""
+    with closing(Journal(name, owner="recorder")) as journal:
+        core = RecorderCore(journal, resume=True)
+        of_it = [message.model_copy(update={"run": "other"}) for message in sent]
+        for message in of_it[:20]:
+            core.handle(message)
+        journal.write("UPDATE run SET seed = seed + 1 WHERE run = 'other'")
+        for message in of_it[20:-1]:
+            core.handle(message)
+        with pytest.raises(Damaged, match="run 'other', table run"):
+            journal.stored("run", "WHERE run = 'other'")
+        told = core.handle(of_it[-1])
+        assert [answer.ended for answer in told if isinstance(answer, Checkpoint)] == [True, True]
+        row = journal.read("SELECT status, digest FROM run WHERE run = 'other'")
+    assert row == [{"status": "quarantined", "digest": None}]
+
+
 def _runs(name: str) -> list[dict[str, Any]]:
     with closing(Store(Journal(name, read_only=True))) as store:
         return answer(store, "runs", {})
