@@ -174,12 +174,16 @@ class Store:
 
     def _derive(self, run: str, most: int) -> bool:
         """Score some dwells of a run; true if nothing is left to do."""
+        if run in self._damaged:  # to score it again would end where it ended before
+            return True
         status = ""
         try:
             for row in self.stored("run", "WHERE run = ?", [run]):
                 status = row["status"]
                 return self._derive_from(row, most)
         except Damaged as error:
+            if not self.read("SELECT 1 FROM run WHERE run = ?", [run]):
+                return True  # it was dropped meanwhile
             self.unreadable[run] = str(error)
             if status != QUARANTINED:
                 self._damaged[run] = error

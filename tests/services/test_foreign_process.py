@@ -129,7 +129,7 @@ def test_an_exception_of_a_front_end_reaches_the_run_with_file_and_line(tmp_path
     start = start.model_copy(update={"scenario": start.scenario | {"world": None}})
     with (
         _front_end(endpoint, example=str(world)),
-        pytest.raises(RunFailed, match=r"roof: mine\.py:6: ZeroDivisionError: integer .* by zero"),
+        pytest.raises(RunFailed, match=r"roof: mine\.py:6: ZeroDivisionError: .*by zero"),
     ):
         in_process.play(start, front_end=f"zenoh:roof@{endpoint}")
 

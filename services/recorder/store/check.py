@@ -62,7 +62,8 @@ def damages(look: Callable[[Database, str], object], store: Database, at: str) -
     try:
         look(store, at)
     except Damaged as error:
-        return [error]
+        is_of_run = not error.run and look is check_run
+        return [damage(store.path, f"run {at!r}: {error}", at) if is_of_run else error]
     return []
 
 

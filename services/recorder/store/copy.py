@@ -6,7 +6,16 @@ from contextlib import closing
 from typing import Any
 
 from cogradar.services.errors import BadInput, StoreFailed
-from cogradar.services.recorder.store.check import OF_RUNS, TABLES, check_run, damages, held_still, names, pages
+from cogradar.services.recorder.store.check import (
+    OF_RUNS,
+    TABLES,
+    check_run,
+    check_table,
+    damages,
+    held_still,
+    names,
+    pages,
+)
 from cogradar.services.recorder.store.database import Database
 
 
@@ -34,7 +43,14 @@ def copy(
                     raise found[0]
             counts = dict.fromkeys(TABLES, 0)
             digests = hashlib.sha256(), hashlib.sha256()
-            parts = [(name, run) for name in TABLES for run in (runs if only_intact and name in OF_RUNS else [None])]
+            # A recorder begins without either of these; with a damaged one it would not.
+            left_out = {name for name in ("leader", "campaign") if only_intact and damages(check_table, theirs, name)}
+            parts = [
+                (name, run)
+                for name in TABLES
+                if name not in left_out
+                for run in (runs if only_intact and name in OF_RUNS else [None])
+            ]
             for name, run in parts:
                 insert = f"INSERT INTO {name} VALUES ({','.join('?' * len(TABLES[name]))})"
                 for rows in pages(theirs, name, run):

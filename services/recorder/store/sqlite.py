@@ -30,7 +30,8 @@ STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks 
 STEPS, STEPS_PER_BYTE = 200_000_000, 20  # that a question may take: some seconds, and longer for a long file
 _ACTING = "trigger view index table"  # what a schema holds, in the order in which it is named
 _NO_TEXT = "Could not decode to UTF-8"  # how an error of Python's begins, and not of SQLite's
-_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_IOERR_READ", "SQLITE_IOERR_SHORT_READ")
+# No error of the disk: after one SQLite has undone the whole transaction, and a writer must begin again.
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
 
 

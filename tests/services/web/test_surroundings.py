@@ -55,6 +55,14 @@ def test_lines_do_not_end_at_the_date_line_and_have_a_limit(monkeypatch: pytest.
     assert 0 < sum(map(len, fewer.lines)) <= 300 < sum(map(len, found.lines)) <= MOST_POINTS
 
 
+def test_more_lines_than_points_may_be_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each line two points are always kept, so that no thinning ends with fewer."""
+    monkeypatch.setattr(maps, "MOST_POINTS", 20)
+    found = surroundings(50.0, 10.0, 20_000.0)
+    assert found is not None
+    assert 0 < sum(map(len, found.lines)) <= 20
+
+
 def test_without_the_packages_there_is_no_map_and_no_word(
     core: MetricsCore, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -19,11 +19,12 @@ from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.check import TABLES, check
-from cogradar.services.recorder.store.seal import SEALED
+from cogradar.services.recorder.store.copy import copy
+from cogradar.services.recorder.store.seal import SEALED, damage
 from cogradar.services.recorder.store.tables import described
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, RunEnd
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, RunEnd, Scan
 from cogradar.shared.protocol.orders import PowerLimit
 from cogradar.shared.protocol.recovery import WaveformRecall
 from tests.postgresql import Server
@@ -274,6 +275,32 @@ def test_the_runs_that_are_intact_can_be_copied(name: str, tmp_path: Path) -> No
     assert check(target) == []
     done = CliRunner().invoke(app, ["store", "check", target])
     assert (done.exit_code, "2 runs, all as they were written" in " ".join(done.output.split())) == (0, True)
+
+
+@pytest.mark.parametrize("table", ["leader", "campaign"])
+def test_runs_can_be_saved_from_a_store_that_no_recorder_can_lead(name: str, table: str, tmp_path: Path) -> None:
+    _damage(name, table, {"leader": "name", "campaign": "document"}[table], np.random.default_rng(1))
+    target = str(tmp_path / "saved.db")
+    with pytest.raises(Damaged, match=f"table {table}"):
+        copy(name, target)
+    copy(name, target, only_intact=True)
+    assert check(target) == []
+    assert {row["run"] for row in rows(target, "SELECT run FROM run")} == {LIVE, ENDED, KEPT}
+    with closing(Journal(target, owner="recorder")) as journal:
+        assert Recorder(journal, resume=True).trouble == ""
+
+
+def test_damage_of_no_run_is_blamed_on_none(name: str, sent: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    def damaged(*_: object) -> None:
+        raise damage(name, "database disk image is malformed")
+
+    with closing(Journal(name, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        before = journal.read("SELECT run, status FROM run")
+        monkeypatch.setattr(RecorderCore, "_take", damaged)
+        core.handle([one for one in sent if isinstance(one, Scan)][-1].model_copy(update={"run": LIVE}))
+        assert core.trouble.endswith("all runs are held")
+        assert journal.read("SELECT run, status FROM run") == before
 
 
 def test_other_runs_are_answered_and_the_damaged_one_is_shown_as_such(name: str) -> None:

@@ -242,6 +242,19 @@ def test_its_former_tokens_are_of_no_other_process() -> None:
     assert shares.decide(0.0, (), lambda: True).shown == ALL_SHARDS
 
 
+def test_without_a_router_and_until_others_are_back_nothing_is_taken() -> None:
+    shares = Shares("1", is_spread=True)
+    shares.decide(0.0, (), lambda: True)
+    shares.lapse("2")
+    assert not shares.decide(1.0, (), lambda: False, has_router=False).shown
+    assert not shares.is_settled
+    assert not shares.decide(1.0 + 0.9 * RETURN_S, (), lambda: True).shown
+    shares.see(3, "0", 2.0, is_there=True)
+    change = shares.decide(1.1 + RETURN_S, (), lambda: True)
+    assert change.shown == ALL_SHARDS - {3}
+    assert not shares.held
+
+
 def test_a_moment_is_later_than_all_that_are_seen() -> None:
     assert later_than([], "00000000000000000007-aa") == "00000000000000000007-aa"
     assert later_than(["00000000000000000009-bb", "00000000000000000003-cc"], "00000000000000000007-aa") == (
