@@ -12,23 +12,11 @@ from cogradar.services.emulator import core as emulator
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.simulation import memory, trials
 from cogradar.services.simulation.memory import Impure, Memory
-from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind, Schedule
+from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind
 from cogradar.services.simulation.simulator import Outcome, play
 from cogradar.shared.protocol.orders import Pause, PowerLimit
 from cogradar.shared.wire.pool.shares import Shares
-
-PLAIN = Schedule(
-    seed=1,
-    sky="known",
-    run_seed=1,
-    rate_hz=0.0,
-    planners=2,
-    runs=1,
-    checkpoint_dwells=4,
-    snapshot_dwells=4,
-    prepares=False,
-    faults=(),
-)
+from tests.services.simulation.plain import PLAIN
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -41,19 +41,8 @@ from cogradar.shared.wire.pool import members
 from cogradar.shared.wire.pool.shares import Shares
 from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
+from tests.services.simulation.plain import PLAIN
 
-PLAIN = Schedule(
-    seed=1,
-    sky="known",
-    run_seed=1,
-    rate_hz=0.0,
-    planners=2,
-    runs=1,
-    checkpoint_dwells=4,
-    snapshot_dwells=4,
-    prepares=False,
-    faults=(),
-)
 IN_CI = 300  # schedules
 
 
