@@ -64,7 +64,7 @@ class Damaged(StoreFailed):
 
     def __init__(self, text: str, run: str = "") -> None:
         super().__init__(text)
-        self.run = run  # of which they are; "": unknown, or the whole store
+        self.run = run  # whose bytes they are; "": unknown, or the whole store
 
 
 class Deposed(Failure):

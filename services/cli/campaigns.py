@@ -325,9 +325,7 @@ def store_command(
     action: Annotated[StoreAction, typer.Argument(metavar="copy|check", show_choices=False, help="What is done.")],
     source: Annotated[str, typer.Argument(help=f"SQLite file, or {SHORT}.", autocompletion=completion.stores)],
     target: Annotated[str | None, typer.Argument(help="Of copy: a new file, or an empty schema of a server.")] = None,
-    intact: Annotated[
-        bool, typer.Option("--intact", help="Of copy: leave out the runs of which a row is damaged.")
-    ] = False,
+    intact: Annotated[bool, typer.Option("--intact", help="Of copy: leave out runs with a damaged row.")] = False,
 ) -> None:
     """Copy a store into a new one, from a file to a server, or back; or check
     that all of it is as it was written.

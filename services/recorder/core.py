@@ -313,7 +313,7 @@ class RecorderCore:
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
     def _digest(self, run: RecordedRun) -> str:
-        """Of all messages, none of which is missing by now. Raises Unreadable, Damaged."""
+        """Of all messages, which are complete by now. Raises Unreadable, Damaged."""
         if run.n_message <= MOST_COUNTED:
             check_count(self._journal, run.start.run, run.k, run.n_message)
         return run.digest.finish(self._journal)

@@ -39,7 +39,7 @@ class Dwell(NamedTuple):
     t: int
     isotropic: float
     factor: bytes
-    orders: Sequence[Order]  # of which the emulator had been told
+    orders: Sequence[Order]  # that the emulator had been told
 
     @classmethod
     def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission, told: "Told") -> "Dwell":
@@ -53,7 +53,7 @@ class Told:
 
     def __init__(self) -> None:
         self._k: dict[str, int] = {}  # dwells, by run
-        self.orders: dict[str, Sequence[Order]] = {}  # by run, of which an emulator was told,
+        self.orders: dict[str, Sequence[Order]] = {}  # by run, that an emulator was told,
         self._ordered: dict[str, tuple[int, int]] = {}  # ... at which dwell, and which was the last
         self.is_restored = False  # a journal that was restored lacks some
 

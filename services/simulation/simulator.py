@@ -163,7 +163,7 @@ class Simulator:
         return recorder is not None and isinstance(recorder.core, Recorder) and bool(recorder.core.trouble)
 
     def _damaged(self) -> set[str]:
-        """Runs of which damage was noticed: a recorder has set them aside, or a reader finds it."""
+        """Runs whose damage was noticed: a recorder has set them aside, or a reader finds it."""
         if not self._schedule.is_rotten:
             return set()
         if self._disk.refused or self._is_held():

@@ -27,7 +27,7 @@ def copy(
     The copy is read again, and compared row by row, before it is committed.
 
     report : gets the table and how many rows of it are copied; what it raises ends the copy; the target is then empty
-    only_intact : leave out runs of which a row is damaged
+    only_intact : leave out runs with a damaged row
 
     Raises BadInput if the target is not empty, Damaged, StoreFailed.
     """

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -25,8 +26,8 @@ def _remembering() -> Iterator[None]:
         yield
 
 
-def _played(*faults: Fault, **changed: object) -> Outcome:
-    return play(replace(PLAIN, faults=faults, **changed))  # type: ignore[arg-type]
+def _played(*faults: Fault, **changed: Any) -> Outcome:
+    return play(replace(PLAIN, faults=faults, **changed))
 
 
 def test_a_function_whose_results_differ_is_found() -> None:
