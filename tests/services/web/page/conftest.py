@@ -60,13 +60,13 @@ class Watched:
 
     def watch(self, page: Page) -> None:
         page.on("pageerror", lambda error: self.faults.append(f"{error.message}\n{error.stack}"))
-        page.on("console", lambda line: self._said(line.type, line.text))
+        page.on("console", lambda line: self._said(line.type, line.text, line.location["url"]))
         page.on("request", self._request)
 
-    def _said(self, kind: str, text: str) -> None:
+    def _said(self, kind: str, text: str, address: str) -> None:
         is_network = "Failed to load resource" in text or "net::ERR" in text
         if kind in {"error", "warning"} and not (self.may_be_refused and is_network):
-            self.faults.append(text)
+            self.faults.append(f"{text}: {address}")
 
     def _request(self, request: Request) -> None:
         if urlsplit(request.url).scheme not in {"data", "blob"}:
