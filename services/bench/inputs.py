@@ -1,14 +1,17 @@
 """What is measured with: beliefs, echoes and requests for power, of any number of targets."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.power.rules import Requests
-from cogradar.shared.signal.array import bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from cogradar.shared.signal.radar_equation import amplitude
 from cogradar.shared.signal.response import FAR_KM, LobeResponse
+from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.sensor import Sensor
 from cogradar.shared.world.disturbance import draw
@@ -21,12 +24,38 @@ SEED = 1
 CENTRE, SPREAD = np.array([60.0, 0.2, 7.5, 0.1]), np.array([0.5, 0.1, 0.5, 0.1])  # km, km/s
 SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
 LOBE = LobeResponse(100, 100, 100, np.inf)
+RANGE_LOBE = LobeResponse(100, 100, 100, 0.15)
 
 
 def particles(n: int) -> Floats:
     """Particles of target 2, (n, 4)."""
     rng = generator(SEED, Purpose.INITIATION, 0, 0)
     return np.asarray(CENTRE + SPREAD * rng.standard_normal((n, 4)))
+
+
+def crowd(n: int) -> Detections:
+    """A scan of n tracks as they are found: many compete, directly or through others, for what was detected."""
+    rng = generator(SEED, Purpose.INITIATION, 0, 1)
+    nus, ranges_km = rng.uniform(-0.43, 0.43, n), rng.uniform(40.0, 80.0, n)
+    sigmas = np.full(n, 2e-3), np.full(n, 0.4)
+    order = np.argsort(nus)
+    columns: dict[str, Any] = {"statistic": 200.0, "limits": 18.4, "sigma_hat": 0.1, "signature_power": 100.0}
+    columns = {name: np.full(n, value) for name, value in columns.items()}
+    return Detections(
+        k=1,
+        bins=angle_bin(nus[order], 100).astype(np.int32),
+        alpha_hat=np.ones(n, np.complex64),
+        nus=nus[order],
+        nu_hats=nus[order] + 5e-4 * rng.standard_normal(n),
+        nu_sigmas=np.full(n, 5e-4),
+        ranges_km=ranges_km[order] + 0.1,
+        beams=angle_bin(nus, 100).astype(np.int32)[:, np.newaxis],
+        beam_nus=nus[:, np.newaxis],
+        gates=ranges_km[:, np.newaxis] + np.array([-2.0, 2.0]),
+        ids=np.arange(n, dtype=np.int32),
+        expected=np.column_stack((nus, sigmas[0], ranges_km, sigmas[1], np.full(n, 0.9))),
+        **columns,
+    )
 
 
 def expected_amplitude(sensor: Sensor) -> float:

@@ -36,6 +36,7 @@ from cogradar.shared.signal.detector.data_set import DataSet, Processing, wald_t
 from cogradar.shared.signal.looks import Look, range_cells
 from cogradar.shared.signal.receiver import threshold, wald_test
 from cogradar.shared.signal.waveform import Signatures, beam_factor
+from cogradar.shared.tracking.assignment import Assignment
 from cogradar.shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
 from cogradar.shared.tracking.belief.particle_filter import predict, update
 from cogradar.shared.tracking.belief.resampling import regularise, resample, weigh
@@ -182,6 +183,18 @@ def _regularise_looks() -> list[float]:
     return _repeat(lambda _: regularise(weighted, ancestors, 0.2, likelihood, next(rngs)))
 
 
+def _assign(n: int) -> list[float]:
+    """Of a new scan each time: which detection each track has."""
+    scan = inputs.crowd(n)
+
+    def assign(_: int) -> None:
+        assignment = Assignment(scan, inputs.RANGE_LOBE)
+        for track in range(n):
+            assignment.share(track)
+
+    return _repeat(assign)
+
+
 def _directions() -> list[float]:
     nus = spatial_frequency(inputs.particles(N))
     return _repeat(lambda _: directions(inputs.LOBE, nus, MAX_CELLS))
@@ -326,6 +339,7 @@ CASES = {
     "predict_mixture": Case("12 000 particles one dwell later, some of them in turns", 0.6, _predict),
     "weigh_looks": Case("12 000 particles weighed, a hit beside a miss, steered", 0.36, _weigh_looks),
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
+    "assign_1000": Case("whose 1000 detections are, of 1000 tracks", 80.0, partial(_assign, 1000)),
     "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
     "array_dwell": Case("a data set of 10^4 channels, 100 bins tested from it", 2.0, _array_dwell),

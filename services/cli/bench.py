@@ -35,6 +35,7 @@ KERNELS = (
         "predict_mixture",
         "weigh_looks",
         "regularise_looks",
+        "assign_1000",
         "directions",
         "cell",
         "array_dwell",

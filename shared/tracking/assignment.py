@@ -71,6 +71,7 @@ class _Cluster(NamedTuple):
     different: Ints  # (d,) which detections are the strongest of an echo
     scores: Floats  # (m, d) log odds of each track and these
     taken: Ints  # (m,) which of these each track has; -1: none
+    parts: Ints  # (m,) which tracks hang together through positive scores: the first of them
 
 
 class Assignment:
@@ -97,9 +98,9 @@ class Assignment:
         """What the track in this row of the roster has."""
         if (alone := self._alone[own]) != _COMPETES:
             return Share(int(self._over[alone]) if alone >= 0 else -1)
-        tracks, rows, fits, in_cell, in_lobe, different, scores, taken = self._cluster(int(self._labels[own]))
+        tracks, rows, fits, in_cell, in_lobe, different, scores, taken, parts = self._cluster(int(self._labels[own]))
         at, places = int(np.searchsorted(tracks, own)), self._places[tracks]
-        in_doubt = is_in_doubt(scores, taken, at)
+        in_doubt = is_in_doubt(scores, taken, parts, at)
         if taken[at] < 0:
             of_others = different[taken[taken >= 0]]
             unresolved = float((in_cell[at, of_others] * in_lobe[at, of_others]).max(initial=0.0))
@@ -141,7 +142,7 @@ class Assignment:
         different = _different(order, self._seen[:, found], fits, lobe, cell_km)
         scores = np.maximum(fits, turned)[:, different]
         scores = np.where(scores > 0.0, scores, _NEVER)
-        made = _Cluster(tracks, rows, fits, in_cell, in_lobe, different, scores, assigned(scores))
+        made = _Cluster(tracks, rows, fits, in_cell, in_lobe, different, scores, *assigned(scores))
         self._clusters[label] = made
         return made
 
@@ -160,24 +161,40 @@ def unclaimed(response: Response, scan: Detections) -> Ints:
     return scan.once(Assignment, response).unclaimed()
 
 
-def assigned(scores: Floats) -> Ints:
-    """The detection of each track in the most probable assignment, (m,); -1: none.
+def assigned(scores: Floats) -> tuple[Ints, Ints]:
+    """The detection of each track in the most probable assignment, (m,), -1: none; and which tracks hang together
+    through detections that may be of either, (m,): the first of them.
+
+    What does not hang together is assigned apart: a solver's time grows with the third power.
 
     scores : (m, n) log odds of each pair against neither, of m tracks and n detections
     """
     m, n = scores.shape
-    _, columns = _best_pairs(np.hstack((scores, np.zeros((m, m)))))
-    return np.where(columns < n, columns, -1)
+    rows, columns = np.nonzero(scores > 0.0)
+    parts, _ = _labelled(np.searchsorted(rows, np.arange(m + 1)), columns, n)
+    taken = np.full(m, -1)
+    for first in np.unique(parts).tolist():
+        part = np.flatnonzero(parts == first)
+        gains, theirs = _gains(scores[part])
+        _, found = _best_pairs(gains)
+        taken[part] = np.append(theirs, np.full(part.size, -1))[found]
+    return taken, parts
 
 
-def is_in_doubt(scores: Floats, taken: Ints, own: int) -> bool:
-    """Whether another assignment, in which a track has not what is taken, is nearly as probable; of several tracks."""
-    m, n = scores.shape
-    gains = np.zeros((m, n + m))
-    gains[:, :n] = scores
-    best = sum(scores[i, column] for i, column in enumerate(taken.tolist()) if column >= 0)
-    gains[own, taken[own] if taken[own] >= 0 else slice(n, None)] = _NEVER
+def is_in_doubt(scores: Floats, taken: Ints, parts: Ints, own: int) -> bool:
+    """Whether another assignment, in which a track has not what is taken, is nearly as probable (`assigned`)."""
+    part = np.flatnonzero(parts == parts[own])
+    best = sum(scores[i, taken[i]] for i in part.tolist() if taken[i] >= 0)
+    gains, theirs = _gains(scores[part])
+    is_taken = np.append(theirs == taken[own], np.full(part.size, taken[own] < 0))
+    gains[np.searchsorted(part, own), is_taken] = _NEVER
     return bool(best - gains[_best_pairs(gains)].sum() < IN_DOUBT)
+
+
+def _gains(scores: Floats) -> tuple[Floats, Ints]:
+    """Of the detections that may be of these tracks, (d,), and then of none, once for each: the scores, (m, d + m)."""
+    theirs = np.flatnonzero((scores > 0.0).any(axis=0))
+    return np.hstack((scores[:, theirs], np.zeros((len(scores), len(scores))))), theirs
 
 
 def _best_pairs(gains: Floats) -> tuple[Ints, Ints]:
@@ -406,6 +423,7 @@ def _pairs_of(
         track = tracks[rivals[a]]
         nu, nu_sigma, range_km, range_sigma, existence = track[:5]
         found = existence * P_D
+        met = theirs[np.array([_is_own(track, seen[:, j]) for j in theirs], np.bool_)]
         for b in range(theirs.size):
             detection = seen[:, theirs[b]]
             nu_c, cell, nu_hat, measured = detection
@@ -420,7 +438,7 @@ def _pairs_of(
             in_lobe[a, b] = _between(apart(nu_c, nu), 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
             turned[a, b] = MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) + min(odds, 0.0)
-            if not _is_met(track, seen, theirs, theirs[b], lobe):
+            if not _is_met(seen, met, theirs[b], lobe):
                 turned[a, b] = _NEVER
     return fits, turned, in_cell, in_lobe
 
@@ -434,18 +452,20 @@ def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bo
 
 
 @kernel
-def _is_met(track: Floats, seen: Floats, theirs: Ints, own: int, lobe: float) -> bool:
+def _is_met(seen: Floats, met: Ints, one: int, lobe: float) -> bool:
     """Whether a look that was made for a track met the echo of a detection, which a look beside may have had more of.
 
     Where the echo was only heard beside the look's axis, it is another target's.
+
+    met : the detections in looks that were made for the track
     """
-    detection = seen[:, own]
-    for j in theirs:
+    detection = seen[:, one]
+    for j in met:
         other = seen[:, j]
         is_same = (
             other[1] == detection[1] and _are_alike(other, detection, 0.0) and apart(other[0], other[2]) < 0.5 * lobe
         )
-        if (is_same or j == own) and _is_own(track, other):
+        if is_same or j == one:
             return True
     return False
 

@@ -47,7 +47,7 @@ def _small_run() -> RunStart:
 
 def test_every_case_of_the_specification_is_there() -> None:
     kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"]
-    steered = ["predict_mixture", "weigh_looks", "regularise_looks", "directions"]
+    steered = ["predict_mixture", "weigh_looks", "regularise_looks", "assign_1000", "directions"]
     cells = ["cell", "array_dwell", "array_ranges", "array_echoes", "monopulse", "sky_dwell", "plan_message"]
     allocations = [f"allocate_{n}" for n in (3, 10, 30, 100, "equal_12")]
     joint = [f"joint_{n}" for n in (3, 12, 100)]

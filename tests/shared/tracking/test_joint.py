@@ -118,17 +118,19 @@ def best_and_second(scores: Floats, own: int) -> tuple[tuple[int, ...], float]:
 @pytest.mark.parametrize("seed", range(8))
 def test_the_assignment_is_the_best_of_all_and_in_doubt_where_the_next_is_near(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    doubts = set[bool]()
+    doubts, together = set[bool](), set[int]()
     for _ in range(20):
         m, n = rng.integers(2, 5), rng.integers(1, 5)
         scores = rng.normal(3.0, 4.0, (m, n))
         scores[scores < 0.0] = IMPOSSIBLE
         for own in range(m):
             best, ahead = best_and_second(scores, own)
-            taken = assigned(scores)
-            assert (tuple(taken.tolist()), is_in_doubt(scores, taken, own)) == (best, ahead < IN_DOUBT)
+            taken, parts = assigned(scores)
+            assert (tuple(taken.tolist()), is_in_doubt(scores, taken, parts, own)) == (best, ahead < IN_DOUBT)
+            together.add(np.unique(parts).size)
             doubts.add(ahead < IN_DOUBT)
     assert doubts == {False, True}
+    assert {1, 2} <= together
 
 
 def log_odds(nu: float, range_km: float, echo: tuple[float, float, float], sigmas: tuple[float, float]) -> float:
