@@ -8,15 +8,18 @@ stands upright.
 import csv
 import io
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from cogradar.services.analysis.tables import Table, check_page
 from cogradar.services.errors import BadInput
 
 WIDEST = 7  # columns
 FOLDER = "tables"  # beside the page
+DIGITS = 16  # of a digest
 TOPICS = {
     "detection": r"P_D|in bin|bin hits|lost|^power$",
     "accuracy": r"RMSE|GOSPA|of errors|of missed|of false",
@@ -98,6 +101,18 @@ def write_into(path: Path, blocks: Mapping[str, Sequence[str | Table]]) -> None:
         new.replace(path)
     except OSError as error:
         raise BadInput(f"{path}: {error.strerror}") from None
+
+
+def first_run(run: Mapping[str, Any], scenario: str, settings: Sequence[str] = ()) -> str:
+    """How to repeat a run that a table has, and the beginning of its digest: another program may play another one.
+
+    run      : strategy, seed, dwells and digest
+    scenario : as on a command line
+    """
+    words = ["cogradar", "run", scenario, "--in-process", "--strategy", run["strategy"], "--seed"]
+    words += [str(run["seed"]), "--dwells", str(run["dwells"])]
+    words += [word for setting in settings for word in ("--set", setting)]
+    return f"The first of these runs is `{shlex.join(words)}`, digest `{run['digest'][:DIGITS]}`."
 
 
 def as_csv(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -38,6 +38,7 @@ MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 _OUTAGE = len(MEANS + ROOTS)  # its place in a sample
+FIRST = ("strategy", "seed", "dwells", "digest")  # what says which the first run was
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
 PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
@@ -83,6 +84,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "fidelity": radar["fidelity"],
         "rule": radar["planner"]["rule"],
         "dwells": dwells,
+        "first": {key: experiment.complete[0][key] for key in FIRST},
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
         "conflicts": sum(run["conflicts"] for run in runs),

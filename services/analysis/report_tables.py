@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.analysis.pages import write_into
+from cogradar.services.analysis.pages import first_run, write_into
 from cogradar.services.analysis.tables import Column, Row, Table, check_page, in_metres
 from cogradar.services.errors import BadInput
 from cogradar.shared.scenario.radar_config import Strategy
@@ -228,7 +228,12 @@ def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
     if len(set(names)) < len(names):
         raise BadInput(f"several experiments of one scenario ({', '.join(names)}): choose one with --seed or --run")
     blocks: dict[str, Sequence[str | Table]] = {
-        f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *tables(report)] for report in reports
+        f"report {report['scenario']}": [
+            f"```\n{caption(report)}\n```",
+            *tables(report),
+            first_run(report["first"], report["scenario"]),
+        ]
+        for report in reports
     }
     if len(reports) > 1 and f"<!-- {BESIDE} -->" in check_page(page, list(blocks)):
         blocks |= {BESIDE: side_by_side(reports)}

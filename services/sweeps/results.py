@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from cogradar.services.analysis.drawing.figures import save
 from cogradar.services.analysis.drawing.looks import STYLE, Look, looks
-from cogradar.services.analysis.pages import write_into
+from cogradar.services.analysis.pages import first_run, write_into
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.report_tables import (
     ALL_TARGETS,
@@ -200,6 +200,22 @@ def remarks(store: Store, found: Rows) -> list[str]:
     failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY place")
     total = len(failed) + sum(row["runs"] for row in found)
     return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
+
+
+def first_runs(
+    store: Store, scenario: str, settings: Sequence[str], axes: Sequence[Axis], variants: Sequence[Variant]
+) -> list[str]:
+    """How to repeat the first complete run of each of these variants."""
+    query = "SELECT * FROM run WHERE scenario = ? AND status = 'complete' ORDER BY place LIMIT 1"
+    return [
+        first_run(run, scenario, [*settings, *_chosen(axes, variant)])
+        for variant in variants
+        for run in store.read(query, [variant.scenario.name])
+    ]
+
+
+def _chosen(axes: Sequence[Axis], variant: Variant) -> list[str]:
+    return [f"{key}={value}" for axis, value in zip(axes, variant.values, strict=True) for key in axis.keys]
 
 
 def write(page: Path, name: str, tables: Sequence[Table], remarks: Sequence[str]) -> None:

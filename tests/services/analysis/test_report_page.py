@@ -21,6 +21,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert text.endswith("<!-- /report smoke -->\nafter\n")
     assert "old" not in text
     assert text.count("| 1 | uniform | 0.500 [0.500, 0.500] | [0.377, 0.623] |") == 1
+    assert text.count("run smoke --in-process --strategy power-aware --seed 1 --dwells 60`, digest `") == 1
     assert {path.name for path in tmp_path.iterdir()} == {"results.md", "tables"}
     page.write_text("no markers")
     with pytest.raises(BadInput, match=r"results\.md: has no lines"):

@@ -1,7 +1,9 @@
 """`cogradar campaign` as a user runs it: ended from outside, on a full disk, and what `cogradar report` then says."""
 
 import json
+import re
 import resource
+import shlex
 import signal
 import sqlite3
 import subprocess
@@ -135,7 +137,10 @@ def test_a_sweep_prints_its_table_and_goes_on(tmp_path: Path) -> None:
         (8, "smoke-1", 1),
         (16, "smoke-2", 1),
     ]
-    again = here(*command[3:], "--csv", "--resume")
+    (page := tmp_path / "page.md").write_text("<!-- sweep s -->\n<!-- /sweep s -->\n")
+    again = here(*command[3:], "--csv", "--resume", "--into", str(page))
+    (first,) = re.findall("`cogradar (run .*)`, digest `(.*)`", page.read_text())
+    assert f"digest {first[1]}" in here(*shlex.split(first[0])).stdout
     assert again.stdout.splitlines()[0].startswith("radar.array.n_tx,scenario,strategy,runs")
     assert "2 of 2 runs, 0 of them now" in again.stderr
     assert {path.name for path in tmp_path.iterdir()} >= {"sweep.png", "sweep.pdf"}

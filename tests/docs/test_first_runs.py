@@ -1,0 +1,58 @@
+"""The tables of the pages are of this program: the run that each of them says to repeat is played, bit for bit."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import cogradar
+
+DOCS = Path(__file__).parents[2] / "docs"
+_BLOCK = re.compile(r"<!-- ((?:sweep|report) \S+) -->(.*?)<!-- /\1 -->", re.DOTALL)
+_RUN = re.compile(r"The first of these runs is `cogradar run ([^`]*)`, digest `([0-9a-f]{16})`\.")
+OLDER = "An earlier program made"  # what a page says of tables that were not made anew
+
+
+class Block(NamedTuple):
+    """Tables between two markers of a page."""
+
+    page: str
+    name: str
+    text: str
+
+
+BLOCKS = [
+    Block(page.name, *found)
+    for page in sorted(DOCS.glob("*.md"))
+    for found in _BLOCK.findall(page.read_text(encoding="utf-8"))
+]
+IS_OLDER = {page.name: OLDER in " ".join(page.read_text(encoding="utf-8").split()) for page in DOCS.glob("*.md")}
+REPEATED = [block for block in BLOCKS if _RUN.search(block.text)]
+SHORTEST = {"results.md": "report paper", "skies.md": "sweep crossing", "beyond.md": "sweep looks"}  # played each time
+
+
+def test_tables_say_which_run_repeats_them_or_that_they_are_of_an_earlier_program() -> None:
+    assert {block.page for block in BLOCKS} > set(SHORTEST)
+    for block in BLOCKS:
+        is_made = block.name == "sweep recorded"  # its sky is of a package's data, which no test has
+        assert is_made or IS_OLDER[block.page] or _RUN.search(block.text), f"{block.page}, {block.name}"
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        pytest.param(block, id=block.name, marks=() if SHORTEST.get(block.page) == block.name else pytest.mark.nightly)
+        for block in REPEATED
+    ],
+)
+def test_the_run_that_a_table_names_is_what_this_program_plays(block: Block) -> None:
+    (found,) = _RUN.findall(block.text)
+    scenario, _, *words = shlex.split(found[0])
+    settings = [value for name, value in zip(words[::2], words[1::2], strict=True) if name == "--set"]
+    given = {name: value for name, value in zip(words[::2], words[1::2], strict=True) if name != "--set"}
+    loaded = cogradar.load(scenario, settings)
+    strategy, seed, dwells = given["--strategy"], int(given["--seed"]), int(given["--dwells"])
+    digest = cogradar.run(loaded, strategy=strategy, seed=seed, dwells=dwells).digest
+    assert digest.startswith(found[1]), f"docs/{block.page} was made by another program: cogradar run {found[0]}"
