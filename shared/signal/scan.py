@@ -104,9 +104,12 @@ class Detections(_Rows):
         return target if self.ids is None else int(np.searchsorted(self.ids, target))
 
     def once(self, make: Callable[[Self, Given], Made], given: Given) -> Made:
-        """make(self, given), which is made once for all tracks that are told of this scan."""
+        """make(self, given), which is made once for all tracks that are told of this scan.
+
+        It is made of a copy: what keeps its scan would otherwise lie there with it until the garbage collector looks.
+        """
         if (make, given) not in self._made:
-            self._made[make, given] = make(self, given)
+            self._made[make, given] = make(self._replace(), given)
         return cast(Made, self._made[make, given])
 
     @cached_property

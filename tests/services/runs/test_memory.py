@@ -1,5 +1,6 @@
-"""Services that stay up keep nothing of runs that are over."""
+"""Services that stay up keep nothing of runs that are over, and of a run no more than they need."""
 
+import gc
 import json
 import threading
 import time
@@ -9,9 +10,11 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs import in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.queries import ask
 from cogradar.shared.wire.session import Session, open_session
@@ -57,3 +60,24 @@ def _wait_until_complete(session: Session, n: int) -> None:
     while sum(run["status"] == "complete" for run in json.loads(ask(session, "runs", {"run": "all"}, 10.0))) < n:
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize("scenario", ["traffic", "smoke"])
+def test_what_a_dwell_is_made_of_is_freed_without_the_garbage_collector(scenario: str) -> None:
+    playing = in_process.steps(RunStart.of(load(scenario), Strategy.POWER_AWARE, 1, 40))
+    for _ in range(20):
+        next(playing)
+    gc.collect()
+    gc.disable()
+    gc.set_debug(gc.DEBUG_SAVEALL)
+    try:
+        for _ in range(10):
+            next(playing)
+        gc.collect()
+        left = {name for one in gc.garbage if (name := type(one).__module__).startswith("cogradar.")}
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+        playing.close()
+    assert not left
