@@ -1,5 +1,6 @@
 """Being one process of the system: connect, say that it is alive, serve until told to stop."""
 
+import atexit
 import gc
 import logging
 import os
@@ -11,7 +12,7 @@ from contextlib import ExitStack, suppress
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NoReturn, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
 from cogradar.services.certs.validity import Validity
@@ -255,6 +256,21 @@ def _exposition(role: Role, core: Core, bus: ZenohBus, validity: Validity) -> Ca
         return {**bus.meter.measures(), "messages_dropped": dropped, **validity.measures(), **own}
 
     return Exposition(measures).text
+
+
+def leave() -> NoReturn:
+    """End this process with exit code 0, after what is registered for its end.
+
+    The interpreter would free each of a million objects first. That is 0.2 s of processor time, which took 2.5 s at a
+    load of 18, and on a busier machine more than a container is given to stop. The processes of `multiprocessing` end
+    in the same way.
+    """
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for threads that are not daemons
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # its reader is gone
+            stream.flush()
+    os._exit(0)
 
 
 def stop_with_parent(stop: threading.Event) -> None:

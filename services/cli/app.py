@@ -192,6 +192,7 @@ def service(
             http,
         )
         process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
+    process.leave()
 
 
 def scenarios(

@@ -1,6 +1,9 @@
 """Being one process: what it does when it is told to stop, and what it says when it ends."""
 
 import logging
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -14,8 +17,22 @@ from cogradar.services.topology import SERVICES, Start
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.meter import Meter
+from cogradar.shared.wire.session import free_port
 
 SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1"}
+
+WATCHED = """
+import atexit
+from cogradar.services.cli.app import main
+
+class Freed:
+    def __del__(self):
+        print("freed", flush=True)
+
+held = Freed()
+atexit.register(print, "at exit")
+main()
+"""
 
 
 class FakeBus:
@@ -91,3 +108,15 @@ def test_a_service_told_to_stop_before_there_is_a_router_ends() -> None:
 
 def test_every_role_of_the_network_can_be_started() -> None:
     assert set(SERVICES) == set(Role)
+
+
+@pytest.mark.zenoh
+def test_a_service_that_is_stopped_leaves_memory_to_the_system() -> None:
+    command = [sys.executable, "-c", WATCHED, "service", "router", "--listen", f"tcp/127.0.0.1:{free_port()}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as router:
+        assert router.stderr is not None
+        while "listening on" not in (line := router.stderr.readline()):
+            assert line
+        router.send_signal(signal.SIGTERM)
+        said, _ = router.communicate(timeout=60.0)
+    assert (router.returncode, said) == (0, "at exit\n")
