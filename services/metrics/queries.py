@@ -1,7 +1,7 @@
 """What views of runs are made of: every SELECT of theirs, by name. `derive` first, where scores are wanted."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -20,6 +20,7 @@ _PICTURE = (
     " sqrt(false_km2) AS gospa_false_km"
 )
 AT_ONCE = 512  # messages that are sought with one statement
+PIECE = 16  # dwells whose messages are held at a time: with 100 antennas a dwell has 0.2 MB
 # Each dwell is sought, however many targets there are between them.
 _AT_DWELLS = "FROM json_each(?) AS dwell CROSS JOIN"
 
@@ -115,6 +116,11 @@ def track_dwells(store: Store, run: str, track: int, first: int, last: int) -> l
     planned = stored(store, run, "plan", [row["k"] for row in dwells], track, "k")
     there = {row["k"] for row in planned}
     return [row for row in dwells if row["k"] in there]
+
+
+def pieces(rows: Sequence[Row]) -> Iterator[Sequence[Row]]:
+    """Rows of dwells, in lots of PIECE."""
+    return (rows[at : at + PIECE] for at in range(0, len(rows), PIECE))
 
 
 def messages(store: Store, run: str, topic: str, ks: Sequence[int], item: int = 0) -> dict[int, Any]:

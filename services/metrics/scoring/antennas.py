@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.metrics.queries import messages, stored
+from cogradar.services.metrics.queries import messages, pieces, stored
 from cogradar.services.metrics.store import Store
 
 MOST = 256  # waveforms of an answer: 0.5 ms each with 100 antennas
@@ -30,9 +30,12 @@ class AntennaPowers(NamedTuple):
         there = {row["k"] for row in stored(store, run, "waveform", [row["k"] for row in dwells], 0, "k")}
         found = [row for row in dwells if row["k"] in there]
         found = found[:: -(-len(found) // most)] if found else []
-        waveforms = messages(store, run, "waveform", [row["k"] for row in found])
-        sent = [(one["isotropic"], one["factor"].astype(np.complex128)) for _, one in sorted(waveforms.items())]
-        powers, papr_db = ([of(*one) for one in sent] for of in (antenna_powers, peak_to_average_db))
+        powers, papr_db = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
+        for some in pieces(found):
+            for _, one in sorted(messages(store, run, "waveform", [row["k"] for row in some]).items()):
+                sent = one["isotropic"], one["factor"].astype(np.complex128)
+                powers.append(antenna_powers(*sent))
+                papr_db.append(peak_to_average_db(*sent))
         return cls(np.array([row["t"] for row in found], np.int64), np.array(powers), np.array(papr_db))
 
     def rows(self) -> list[dict[str, Any]]:

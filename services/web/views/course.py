@@ -83,9 +83,14 @@ def _of_target(store: Store, known: Facts, courses: "Courses", target: int, ts: 
 
 def _of_track(store: Store, known: Facts, track: int, dwells: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The track in these dwells, as far as their scans are stored."""
-    run = known.row["run"]
-    followed = queries.followed_by(store, run, track, [dwell["t"] for dwell in dwells])
-    ks = [dwell["k"] for dwell in dwells]
+    followed = queries.followed_by(store, known.row["run"], track, [dwell["t"] for dwell in dwells])
+    return [row for some in queries.pieces(dwells) for row in _of_dwells(store, known, track, some, followed)]
+
+
+def _of_dwells(
+    store: Store, known: Facts, track: int, dwells: Sequence[dict[str, Any]], followed: dict[int, Any]
+) -> list[dict[str, Any]]:
+    run, ks = known.row["run"], [dwell["k"] for dwell in dwells]
     sent_k = {k: truth["waveform_k"] for k, truth in queries.messages(store, run, "truth", ks).items()}
     waveforms = queries.messages(store, run, "waveform", [sent_k.get(k, k - 1) for k in ks])
     scans, plans = queries.messages(store, run, "scan", ks), queries.messages(store, run, "plan", ks, track)
@@ -100,17 +105,20 @@ def _of_track(store: Store, known: Facts, track: int, dwells: Sequence[dict[str,
 
 def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> None:
     """The statistic of each row's cell; None where its scan is not stored, or did not test it."""
-    scans = queries.messages(store, known.row["run"], "scan", [row["k"] for row in rows])
-    for row in rows:
-        row["statistic"], z = None, row.pop("z")
-        if (scan := scans.get(row["k"])) is not None:
-            state = in_plane(np.array([[row["x"], 0.0, row["y"], 0.0]], np.float64), np.array([z], np.float64))
-            track = None if row["track"] is None else row["track"] - 1
-            (at,) = known.scan_rows.rows_about(scan, state, [track]).tolist()
-            if at >= 0:
-                row.update(
-                    statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.read(scan).limits[at])
-                )
+    for some in queries.pieces(rows):
+        scans = queries.messages(store, known.row["run"], "scan", [row["k"] for row in some])
+        for row in some:
+            _add_statistic(known, row, scans.get(row["k"]))
+
+
+def _add_statistic(known: Facts, row: dict[str, Any], scan: dict[str, Any] | None) -> None:
+    row["statistic"], z = None, row.pop("z")
+    if scan is not None:
+        state = in_plane(np.array([[row["x"], 0.0, row["y"], 0.0]], np.float64), np.array([z], np.float64))
+        track = None if row["track"] is None else row["track"] - 1
+        (at,) = known.scan_rows.rows_about(scan, state, [track]).tolist()
+        if at >= 0:
+            row.update(statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.read(scan).limits[at]))
 
 
 class Courses:

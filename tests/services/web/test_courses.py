@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+import tracemalloc
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,10 +11,13 @@ import numpy as np
 import pytest
 from anyio.to_thread import current_default_thread_limiter
 
+from cogradar.services.metrics import queries
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.tables import Recording
+from cogradar.services.runs import in_process
 from cogradar.services.web.app import THREADS, create
 from cogradar.services.web.views import course, timeline
 from cogradar.services.web.views.radar import facts
@@ -264,3 +268,20 @@ def test_a_timeline_without_truth_or_dwells(web: httpx.Client) -> None:
     found = get(web, "blind/timeline")
     assert (found["t"], set(found["lost"]), set(found["error_km"])) == (DWELLS, {None}, {None})
     assert found["first"] == found["last"] == list(range(1, DWELLS + 1))
+
+
+def test_an_answer_over_many_dwells_holds_the_messages_of_a_few() -> None:
+    core = MetricsCore(":memory:")
+    core.store = in_memory()
+    start = RunStart.of(load("traffic"), Strategy.POWER_AWARE, 1, 4 * queries.PIECE)
+    in_process.play(start, store=core.store)
+    waveforms = queries.messages(core.store, start.run, "waveform", range(start.dwells))
+    of_all = sum(one["factor"].nbytes for one in waveforms.values())
+    app, run = create(core, None, FAST_S), f"/api/v1/runs/{start.run}"
+    for path in ("course?track=1", "antennas"):
+        ask(app, f"{run}/{path}{'&' if '?' in path else '?'}dwells=1:2")  # imports
+        tracemalloc.start()
+        found = ask(app, f"{run}/{path}")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert (found.status_code, peak < of_all) == (200, True), path
