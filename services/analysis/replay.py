@@ -5,6 +5,9 @@ clock of lockstep. For a run in real time this leaves out what depended on the c
 short it leaves out the bin and the number of simulations. It leaves out waveforms of dwells without all plans in time,
 or after a scan of an older roster. Tracks coast over a dwell without a scan, as they did in the run. A plan says which
 scans its belief went without (`Plan.unseen`): it is left out where the journal has other scans.
+
+A run without an end may have lost its oldest dwells. The tracks that began in them are left out: a track is a function
+of the scans since its birth.
 """
 
 from collections.abc import Callable, Sequence
@@ -65,6 +68,7 @@ class Replay:
     missing: int = 0  # dwells without a scan, over which tracks coasted
     skipped: int = 0  # ... that never happened, as the next scan says
     other_scans: int = 0  # plans that were not compared: their planner had not the scans of the journal
+    cut_off: int = 0  # ... of tracks that began in dwells that were cut
 
 
 def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
@@ -73,21 +77,14 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     Raises BadInput if the store lacks what the core needs, as a campaign's store does; PluginError if something of a
     user's own cannot be loaded with the source that the run had.
     """
-    if to not in CORES:
-        raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
-    rule = stored.scenario.radar.planner.rule
-    if to == "planner" and rule in TRUE_RULES:
-        raise BadInput(f"{stored.name}: its policy, {rule}, knows the truth, which a planner alone does not")
-    load_for(to, stored.start.scenario["radar"], stored.start.strategy)
+    first = _checked(stored, to)
     make, fed, compared = CORES[to]
-    first = int(stored.row["kept_k"])
-    if first > 0 and to == "planner":
-        raise BadInput(f"{stored.name}: its first {first} dwells were cut, and a planner needs all scans of a run")
     core, by_clock = make(), pacing_at(stored.start.rate_hz).loses_dwells
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     rate_hz = stored.start.rate_hz if by_clock and to == "planner" else 0.0
     core.handle(_checkpoint(stored, first, 0, rate_hz=rate_hz))
     outcome, t = Replay(0), 0
+    cut_off: set[int] | None = None  # tracks that began before the first dwell; None: no scan has said it yet
     given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
     before: Sequence[Message] = ()  # recorded answers of the dwell before
     next_k, lost_k = first, -1  # after the newest scan; the newest dwell without one
@@ -109,6 +106,8 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         if rate_hz:  # what is rebuilt between two dwells
             answers += [answer for answer in core.handle(Tick(k / rate_hz)) if isinstance(answer, compared)]
         recorded: Sequence[Message] = [message for message in messages if isinstance(message, compared)]
+        cut_off = _begun_before(first, inputs) if cut_off is None else cut_off
+        outcome, recorded = _of_others(outcome, recorded, cut_off or set())
         if rate_hz:
             outcome, recorded = _of_these_scans(outcome, recorded, inputs, answers, lost_k)
         # In real time the allocator goes on from the roster that it sent last, where a scan has an older one.
@@ -123,6 +122,23 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             core.handle(_checkpoint(stored, *acknowledged, told, rate_hz=rate_hz))
     _check_begun(stored, outcome, t, f"{topics[0]} and {topics[-1]}")
     return outcome
+
+
+def _checked(stored: StoredRun, to: str) -> int:
+    """The first dwell of a run that is kept. Raises BadInput if the core cannot be fed with it, PluginError."""
+    if to not in CORES:
+        raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
+    rule = stored.scenario.radar.planner.rule
+    if to == "planner" and rule in TRUE_RULES:
+        raise BadInput(f"{stored.name}: its policy, {rule}, knows the truth, which a planner alone does not")
+    load_for(to, stored.start.scenario["radar"], stored.start.strategy)
+    first = int(stored.row["kept_k"])
+    if first > 0 and to == "planner" and not stored.scenario.radar.is_unknown:
+        raise BadInput(
+            f"{stored.name}: its first {first} dwells were cut, and all its tracks began in them; COGRADAR_KEEP_BYTES"
+            " and COGRADAR_KEEP_HOURS of the recorder say how much is kept"
+        )
+    return first
 
 
 def _check_begun(stored: StoredRun, outcome: Replay, t: int, topics: str) -> None:
@@ -148,6 +164,18 @@ def _without_scans(outcome: Replay, scan: Message, n: int) -> Replay:
     """The outcome with so many more dwells before a scan that have none."""
     skipped = (scan.skipped or 0) if isinstance(scan, Scan) else 0
     return replace(outcome, missing=outcome.missing + n, skipped=outcome.skipped + min(skipped, n))
+
+
+def _begun_before(first: int, inputs: Sequence[Message]) -> set[int] | None:
+    """The tracks of a scan that began before the one of the first dwell; None without a scan."""
+    begun = [zip(one.ids.tolist(), one.born_k.tolist(), strict=True) for one in _rosters(inputs)]
+    return {m for one in begun for m, k in one if k < first - 1} if inputs else None
+
+
+def _of_others(outcome: Replay, recorded: Sequence[Message], cut_off: set[int]) -> tuple[Replay, Sequence[Message]]:
+    """The outcome with the plans of these tracks counted, and what was recorded without them."""
+    found = [one for one in recorded if not (isinstance(one, Plan) and one.target in cut_off)]
+    return replace(outcome, cut_off=outcome.cut_off + len(recorded) - len(found)), found
 
 
 def _of_these_scans(
@@ -198,6 +226,8 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
         notes.append(f"{outcome.missing} dwells have no scan{skipped}: tracks coasted over them")
     if outcome.other_scans:
         notes.append(f"{outcome.other_scans} plans were not compared: their planner had other scans than the journal")
+    if outcome.cut_off:
+        notes.append(f"{outcome.cut_off} plans were not compared: their tracks began in dwells that were cut")
     if (found := outcome.difference) is None:
         return [f"{run}: {agreed}", *notes]
     whose = "" if found.track is None else f" of track {found.track}"

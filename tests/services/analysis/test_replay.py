@@ -32,6 +32,7 @@ from tests.skies import sky_start
 
 DWELLS, TRACKS = 70, 2  # more than a core gets between two checkpoints
 AT = 40  # dwell k that is changed
+CUT = 6  # ... before which a run is cut: the third aircraft comes then
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +107,24 @@ def test_a_run_that_was_cut_and_commanded_replays_from_its_first_dwell(
     monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AT // 2)
     monkeypatch.setattr(module, "ACKNOWLEDGE_EVERY", 8)
     assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - AT)
+
+
+def test_of_a_run_that_was_cut_the_tracks_that_began_later_are_replayed() -> None:
+    store, start = in_memory(), sky_start(dwells=40)
+    in_process.play(start, store=store)
+    whole = replay(_stored(store), "planner")
+    store.journal.cut(start.run, CUT)
+    (row,) = store.journal.read("SELECT COUNT(*) AS n FROM message WHERE topic = 'plan'")
+    left = replay(_stored(store), "planner")
+    assert (left.difference, left.agreed + left.cut_off) == (None, row["n"])
+    assert 0 < left.agreed < whole.agreed
+    assert f"{left.cut_off} plans were not compared: their tracks began" in module.words("r", "planner", left)[1]
+
+
+def test_the_tracks_of_a_known_number_begin_with_the_dwells_that_were_cut(store: Store) -> None:
+    store.journal.cut(_stored(store).name, AT)
+    with pytest.raises(BadInput, match=f"its first {AT} dwells were cut, .* COGRADAR_KEEP_BYTES"):
+        replay(_stored(store), "planner")
 
 
 def test_of_priorities_a_replay_tells_those_whose_tracks_are_there() -> None:
