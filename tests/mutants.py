@@ -8,6 +8,7 @@ import argparse
 import importlib.machinery
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -96,7 +97,6 @@ MUTANTS = (
         JOURNAL,
         "INSERT INTO message VALUES (?,?,?,?,?,?) ON CONFLICT DO NOTHING",
         "INSERT OR REPLACE INTO message VALUES (?,?,?,?,?,?)",
-        harmless="a second one has the same bytes",
     ),
     Mutant(
         "snapshots of dwells that are not acknowledged are kept",
@@ -408,7 +408,8 @@ class Known:
 
 
 def _row(mutant: Mutant, played: int, n: int, violation: str) -> str:
-    said = violation.splitlines()[0][:SAID].replace("|", "/") if violation else mutant.harmless
+    told = re.sub(r"/\S+/(\d+\.db)", r"\1", violation)  # the journal, wherever it was
+    said = told.splitlines()[0][:SAID].replace("|", "/") if violation else mutant.harmless
     return f"| {mutant.name} | {n or (f'not in {played}' if played else 'not played yet')} | {said} |"
 
 
