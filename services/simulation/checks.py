@@ -126,7 +126,8 @@ def _limited(made: tuple[str, float, bytes], most: float) -> tuple[str, float, b
     """What is radiated of a waveform if orders let be so much."""
     run, isotropic, packed = made
     factor = np.frombuffer(packed, np.complex64).astype(np.complex128)
-    share = min(most / (isotropic + float(np.sum(np.abs(factor) ** 2))), 1.0)
+    power = isotropic + float(np.sum(np.abs(factor) ** 2))
+    share = min(most / power, 1.0) if power else 1.0  # of a pause there is none
     return run, share * isotropic, (np.sqrt(share) * factor).astype(np.complex64).tobytes()
 
 

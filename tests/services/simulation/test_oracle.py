@@ -11,7 +11,7 @@ import pytest
 from cogradar.services.delivery.pacing import Lockstep, RealTime
 from cogradar.services.emulator import core as emulator
 from cogradar.services.emulator.front_end import Transmission
-from cogradar.services.simulation import memory, trials
+from cogradar.services.simulation import checks, memory, trials
 from cogradar.services.simulation.memory import Impure, Memory
 from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind
 from cogradar.services.simulation.simulator import Outcome, play
@@ -101,6 +101,12 @@ def test_a_radar_that_runs_ahead_is_found(monkeypatch: pytest.MonkeyPatch) -> No
     assert _played(slow, commands=commands).violation == ""
     monkeypatch.setattr(Lockstep, "may_transmit", lambda *_: True)
     assert "ahead of the journal, at most 1" in _played(slow, commands=commands).violation
+
+
+def test_of_a_waveform_without_power_less_is_the_same() -> None:
+    """That of a pause was divided by its power, where a limited waveform was looked for among all of its run."""
+    assert checks._limited(("a", 0.0, b""), 0.5) == ("a", 0.0, b"")
+    assert checks._limited(("a", 2.0, b""), 0.5) == ("a", 0.5, b"")
 
 
 @pytest.mark.parametrize("action", [PowerLimit(share=0.5), Pause(dwells=3)])
