@@ -11,9 +11,12 @@ from copy import copy
 from itertools import count
 from pathlib import Path
 
+import psycopg
 import pytest
+from psycopg import sql
 
 PACKAGE = "postgresql"
+PAGE_BYTES = 8192
 _FAST = {"fsync": "off", "listen_addresses": "''", "shared_buffers": "16MB", "max_connections": "30"}
 
 
@@ -34,7 +37,7 @@ class Server:
             self._user = next(name for name in ("postgres", "nobody") if _is_there(name))
             shutil.chown(folder, self._user)
         self._schemas = count()
-        self._run("initdb", "-A", "trust", "-U", "radar", "-E", "UTF8", "--no-locale", "-N")
+        self._run("initdb", "-A", "trust", "-U", "radar", "-E", "UTF8", "--no-locale", "-N", "-k")
         with (folder / "data" / "postgresql.conf").open("a") as file:
             file.writelines(f"{name} = {value}\n" for name, value in _FAST.items())
             file.write(f"unix_socket_directories = '{folder}'\n")
@@ -74,6 +77,25 @@ class Server:
     def stop(self, mode: str = "fast") -> None:
         """Stop it; "immediate" as if it was killed."""
         self._run("pg_ctl", "-w", "-m", mode, "stop")
+
+    def spoil(self, url: str, table: str, *runs: str) -> None:
+        """Change a byte of each page of a table that has rows of these runs only, while the server is stopped."""
+        with psycopg.connect(url.partition("&schema")[0]) as db:
+            db.execute(f"SET search_path TO {url.partition('schema=')[2]}".encode())
+            rows = sql.SQL("SELECT (ctid::text::point)[0]::int, run FROM {}").format(sql.Identifier(table))
+            found = db.execute(rows).fetchall()
+            pages = {page for page, run in found if run in runs} - {page for page, run in found if run not in runs}
+            ((name,),) = db.execute("SELECT pg_relation_filepath(%s)", [table]).fetchall()
+        assert pages
+        self.stop()
+        with (self._folder / "data" / name).open("r+b") as file:
+            for page in pages:
+                at = PAGE_BYTES * (page + 1) - 100
+                file.seek(at)
+                (before,) = file.read(1)
+                file.seek(at)
+                file.write(bytes([before ^ 1]))
+        self.start()
 
     def url(self, schema: str | None = None, *standbys: "Server") -> str:
         """The address of a store; a new one if no schema is named. With standbys: of the one that can be written."""

@@ -93,18 +93,28 @@ def _add_p_d(rows: Rows) -> Rows:
 def _runs(store: Store, selection: Selection) -> Rows:
     whole("runs", selection)
     condition, values = selection.of_runs
-    rows = store.read(
+    query = (
         f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
         " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, NULL AS fault, digest,"
         f" acknowledged_t AS t, {OLDEST_T} AS oldest_t, {_CLOCKS},"
-        " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
-        f" FROM run WHERE {condition} ORDER BY place LIMIT ? OFFSET ?",
-        [*values, selection.most, selection.offset],
+        f" NULL AS k FROM run WHERE {condition} ORDER BY place LIMIT ? OFFSET ?"
     )
+    newest = "(SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
+    values += [selection.most, selection.offset]
+    try:
+        rows, unread = store.read(query.replace("NULL AS k", newest), values), set[str]()
+    except Damaged:  # messages of one run, and others are asked for with it
+        rows = store.read(query, values)
+        unread = {row["run"] for row in rows}
+    damaged = store.damaged_rows(row["run"] for row in rows)
     for row in rows:
         row |= {"began": utc(row["began"]), "ended": utc(row["ended"])}
         try:
-            store.check_rows([row["run"]])
+            if row["run"] in unread:
+                query = "SELECT MAX(k) AS k FROM message WHERE run = ? AND topic = 'scan'"
+                row["k"] = store.read(query, [row["run"]])[0]["k"]
+            if row["run"] in damaged:
+                raise damaged[row["run"]]
             store.damage([row["run"]])
         except Damaged as error:  # one run, and others are asked for with it
             row |= {"status": QUARANTINED, "reason": row["reason"] or str(error)}

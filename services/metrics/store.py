@@ -23,7 +23,7 @@ from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
 from cogradar.services.recorder.journal import Journal, Unreadable
 from cogradar.services.recorder.store.check import check_scores, check_whole
-from cogradar.services.recorder.store.seal import QUARANTINED
+from cogradar.services.recorder.store.seal import LISTED, QUARANTINED, verify
 from cogradar.services.recorder.store.tables import MEMORY, PICTURE_KEY, SCORE_KEY
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
@@ -85,8 +85,22 @@ class Store:
     def check_rows(self, runs: Iterable[str] | None = None) -> None:
         """Raises Damaged if the row of a run, of these or of all, is not as it was written; of an ended run once."""
         names = [row["run"] for row in self.read("SELECT run FROM run ORDER BY place")] if runs is None else runs
-        for run in [name for name in names if name not in self._sound]:
-            self._sound |= {row["run"] for row in self.stored("run", "WHERE run = ?", [run]) if row["ended_s"]}
+        for error in self.damaged_rows(names).values():
+            raise error
+
+    def damaged_rows(self, runs: Iterable[str]) -> dict[str, Damaged]:
+        """Which of these runs have a row that is not as it was written, and are not set aside for it."""
+        found, names = dict[str, Damaged](), [name for name in runs if name not in self._sound]
+        for at in range(0, len(names), AT_ONCE):
+            some = names[at : at + AT_ONCE]
+            which = f"WHERE run IN ({','.join('?' * len(some))}) AND status <> ? ORDER BY place"
+            for row in self.read(f"SELECT {LISTED['run']} FROM run {which}", [*some, QUARANTINED]):
+                try:
+                    verify(self.journal.path, "run", row)
+                    self._sound |= {row["run"]} if row["ended_s"] else set()
+                except Damaged as error:
+                    found[row["run"]] = error
+        return found
 
     def damage(self, runs: Iterable[str]) -> None:
         """Raises Damaged if what was scored of one of these runs is damaged."""

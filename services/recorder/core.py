@@ -138,8 +138,9 @@ class RecorderCore:
     def _resume(self, name: str) -> None:
         """Go on with a run from its last checkpoint; set it aside if it cannot be read, for the sake of the others."""
         try:
-            self._runs[name] = self._resumed(name)
-            self._journal.hinder(name, "")  # what still cannot do its part says so again
+            with self._journal.part():
+                self._runs[name] = self._resumed(name)
+                self._journal.hinder(name, "")  # what still cannot do its part says so again
         except (Unreadable, BadMessage, Damaged) as error:
             self._set_aside(name, str(error))
         else:
@@ -165,6 +166,7 @@ class RecorderCore:
         k, t = row["acknowledged_k"], row["acknowledged_t"]
         run = RecordedRun(start, k, t, self._journal.orders(name), resumed=True)
         run.n_message = row["messages"]
+        self._journal.snapshot_ks(name)  # which will be written again
         self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
@@ -322,8 +324,9 @@ class RecorderCore:
         if there := in_force(run.orders.orders, run.k):
             names = ", ".join(text_of(order.action) for order in there)
             log.warning("%s ends, and with it its orders: %s; the next run begins without any", run.start.run, names)
-        self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
-        self._journal.end_run(end, digest)
+        with self._journal.part():
+            self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
+            self._journal.end_run(end, digest)
         del self._runs[run.start.run], self._spans[run.start.run]
         others = self._commit()
         run.acknowledged = run.k, run.t
@@ -334,7 +337,8 @@ class RecorderCore:
         advanced, told = [run for run in self._runs.values() if run.k > run.acknowledged[0]], list[Checkpoint]()
         for run in list(advanced):
             try:
-                self._note_progress(run)
+                with self._journal.part():
+                    self._note_progress(run)
             except Damaged as error:
                 advanced.remove(run)
                 told += self._end_damaged(run.start.run, error)

@@ -8,6 +8,7 @@ import json
 import math
 import time
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,6 @@ from cogradar.shared.scenario.trajectories.rows import Rows
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 PAGE = 256  # messages that are read at a time, of some kB; a dwell has fewer, as a rule
 _ONE = "WHERE run = ?"
-_START = ("run", "strategy", "seed", "dwells", "rate_hz")
 
 
 class Unreadable(ValueError):
@@ -68,6 +68,7 @@ class Journal(Database):
     def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
         super().__init__(path, owner=owner, read_only=read_only)
         self._running: dict[str, dict[str, Any]] = {}  # rows of runs as this process verified or wrote them last
+        self._stuck: set[str] = set()  # dropped runs whose messages cannot be deleted, as they are damaged
 
     def rollback(self) -> None:
         """Undo what was written since the last commit."""
@@ -92,7 +93,7 @@ class Journal(Database):
             "n_target": n_target,
             "n_track": n_track,
             "has_truth": int(world is not None),
-            "began_s": _now_s(),
+            "began_s": int(time.time()),
         }
         self._add_run(row)
 
@@ -123,16 +124,22 @@ class Journal(Database):
 
     def _row(self, run: str) -> dict[str, Any] | None:
         """The row of a run, None if it is not there. Raises Damaged. One that goes on is read once."""
-        return self._running.get(run) or next(iter(self.stored("run", _ONE, [run])), None)
+        found = self._running.get(run)
+        for row in self.read(f"SELECT {LISTED['run']} FROM run {_ONE}", [run]) if found is None else ():
+            verify(self.path, "run", row)  # also if it is set aside: its damage gets no checksum that fits
+            found = row
+        return found
 
     def acknowledge(self, run: str, k: int, t: int, n_message: int) -> None:
         """Record that dwells 0 .. k-1 of a run are complete, with so many messages, and the clock t of the last one."""
         scans = k - t if t > 0 else None  # the clock starts when the acquisition is over
         self._change(run, acknowledged_k=k, acknowledged_t=t, acquisition_scans=scans, messages=n_message)
 
-    def end_run(self, end: RunEnd, digest: str) -> None:
+    def end_run(self, end: RunEnd, digest: str | None) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
-        self._end(end.run, end.status, end.reason, digest)
+        self.write("DELETE FROM snapshot WHERE run = ?", end.run)
+        self._running.pop(end.run, None)  # it is read once more, and verified
+        self._change(end.run, status=end.status, reason=end.reason, digest=digest, ended_s=int(time.time()))
 
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
@@ -142,22 +149,26 @@ class Journal(Database):
             "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, place DESC) AS nth"
             " FROM run WHERE status IN ('complete', 'failed')) AS ended WHERE ended_s <= ? AND (nth > ? OR ended_s < ?)"
         )
-        runs = math.inf if keep.runs is None else keep.runs
+        now, runs = int(time.time()), math.inf if keep.runs is None else keep.runs
         seconds = math.inf if keep.days is None else keep.days * 86400.0
-        for row in self.read(query, [_now_s() - keep.grace_s, runs, _now_s() - seconds]):
-            self.write("INSERT INTO dropped VALUES (?) ON CONFLICT DO NOTHING", row["run"])
-            self.write("DELETE FROM command WHERE run = ?", row["run"])
-            self.write("DELETE FROM run WHERE run = ?", row["run"])
+        for row in self.read(query, [now - keep.grace_s, runs, now - seconds]):
+            with self._or_aside(row["run"]):
+                self.write("INSERT INTO dropped VALUES (?) ON CONFLICT DO NOTHING", row["run"])
+                self.write("DELETE FROM command WHERE run = ?", row["run"])
+                self.write("DELETE FROM run WHERE run = ?", row["run"])
 
     def delete_dropped(self) -> None:
         """Delete some messages of a dropped run: so few that no other work waits for it. Their space is used again."""
-        for row in self.read(
-            "SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"
-        ):
-            if row["k"] is None:
-                self.write("DELETE FROM dropped WHERE run = ?", row["run"])
-            else:
-                self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
+        for run in [run for (run,) in self.rows("SELECT run FROM dropped") if run not in self._stuck][:1]:
+            try:
+                with self.part():
+                    ((k,),) = self.rows("SELECT MIN(k) FROM message WHERE run = ?", (run,))
+                    if k is None:
+                        self.write("DELETE FROM dropped WHERE run = ?", run)
+                    else:
+                        self.write("DELETE FROM message WHERE run = ? AND k < ?", run, k + DELETED_DWELLS)
+            except Damaged:  # it takes space, and is no run any more
+                self._stuck.add(run)
 
     def cut(self, run: str, before_k: int) -> tuple[int, int]:
         """Delete the messages of the dwells before this one, whose space is used again; their number, and their bytes.
@@ -168,20 +179,19 @@ class Journal(Database):
         of_them = "FROM message WHERE run = ? AND k < ?"
         (row,) = self.rows(f"SELECT COALESCE(SUM(LENGTH(payload)), 0) {of_them}", (run, before_k))
         n_message = self.write(f"DELETE {of_them}", run, before_k)
-        (ended,) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
-        n_command = 0
-        if ended[0] is not None:
-            n_command = self.write(
-                "DELETE FROM command WHERE run = ? AND n <= ? AND (k IS NULL OR over_k <= ?)"
-                " AND n < (SELECT MAX(n) FROM command WHERE run = ?)",
-                *(run, ended[0], before_k, run),
-            )
+        ((ended,),) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
+        n_command = self.write(  # none is before one that is not there
+            "DELETE FROM command WHERE run = ? AND n <= ? AND (k IS NULL OR over_k <= ?)"
+            " AND n < (SELECT MAX(n) FROM command WHERE run = ?)",
+            *(run, ended, before_k, run),
+        )
         self._add(run, messages=-n_message, commands=-n_command)
         self._change(run, kept_k=before_k)
         return n_message, int(row[0])
 
     def quarantine(self, run: str, reason: str) -> None:
         """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""
+        self._running.pop(run, None)  # what was written of it may be undone by now
         try:
             self._change(run, status=QUARANTINED, reason=reason)
         except Damaged:  # the row keeps its checksum, and nothing else in it is believed
@@ -200,14 +210,24 @@ class Journal(Database):
                 found.append((str(row["run"]), str(error)))
         return found
 
-    def hinder(self, run: str, reason: str) -> None:
-        """Say what a run that goes on is hindered by."""
-        self._change(run, reason=reason)
+    @contextmanager
+    def _or_aside(self, run: str) -> Iterator[None]:
+        """What is done within to a run is undone if it is damaged, and it is set aside."""
+        try:
+            with self.part():
+                yield
+        except Damaged as error:
+            self.quarantine(run, str(error))
 
     def give_up_unfinished(self) -> None:
         """Mark the runs that have not ended as failed: the lock is ours, so their recorder is gone."""
         for run in self.unfinished():
-            self._end(run, "failed", INTERRUPTED, None)
+            with self._or_aside(run):
+                self.end_run(RunEnd(run=run, k=0, t=0, status="failed", reason=INTERRUPTED), None)
+
+    def hinder(self, run: str, reason: str) -> None:
+        """Say what a run that goes on is hindered by."""
+        self._change(run, reason=reason)
 
     def add_conflict(self, run: str) -> None:
         """Count a message that differs from the one that came first."""
@@ -215,8 +235,9 @@ class Journal(Database):
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
+        row = run, k, topic, item, payload
         query = "INSERT INTO message VALUES (?,?,?,?,?,?) ON CONFLICT DO NOTHING"
-        return self.write(query, run, k, topic, item, payload, message_checksum(run, k, topic, item, payload)) == 1
+        return self.write(query, *row, message_checksum(*row)) == 1
 
     def add_command(self, command: Command, n: int, k: int | None, reason: str) -> None:
         """Record a command: granted from dwell k on, or refused."""
@@ -225,7 +246,7 @@ class Journal(Database):
             "n": n,
             "id": command.id,
             "asker": command.by,
-            "asked_s": _now_s(),
+            "asked_s": int(time.time()),
             "action": json.dumps(command.action.model_dump()),
             "k": k,
             "reason": reason,
@@ -335,20 +356,17 @@ class Journal(Database):
 
     def extent(self, run: str) -> tuple[int, int]:
         """Bytes of the messages of a run, and the oldest dwell that was not cut."""
-        query = (
-            "SELECT (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE message.run = run.run), kept_k"
-            " FROM run WHERE run = ?"
-        )
-        return next(((row[0], row[1]) for row in self.rows(query, (run,))), (0, 0))
+        size = "SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE message.run = run.run"
+        rows = self.rows(f"SELECT ({size}), kept_k FROM run WHERE run = ?", (run,))
+        return next(((row[0], row[1]) for row in rows), (0, 0))
 
     def start(self, run: str) -> RunStart | None:
         """How a run began, None if it is not there. Raises Unreadable, Damaged."""
         if (row := self.whole_row(run)) is None:
             return None
         try:
-            return RunStart.model_validate(
-                {name: row[name] for name in _START} | {"scenario": json.loads(row["document"])}
-            )
+            told = {name: row[name] for name in ("run", "strategy", "seed", "dwells", "rate_hz")}
+            return RunStart.model_validate(told | {"scenario": json.loads(row["document"])})
         except (ValueError, TypeError) as error:
             raise Unreadable(" ".join(str(error).split())[:300]) from None
 
@@ -379,14 +397,4 @@ class Journal(Database):
 
     def campaign(self) -> dict[str, Any] | None:
         """What the campaign of this store was asked to be, None if it holds none."""
-        rows = self.stored("campaign", "")
-        return json.loads(rows[0]["document"]) if rows else None
-
-    def _end(self, run: str, status: str, reason: str, digest: str | None) -> None:
-        self.write("DELETE FROM snapshot WHERE run = ?", run)
-        self._running.pop(run, None)  # it is read once more, and verified
-        self._change(run, status=status, reason=reason, digest=digest, ended_s=_now_s())
-
-
-def _now_s() -> int:
-    return int(time.time())
+        return next((json.loads(row["document"]) for row in self.stored("campaign", "")), None)

@@ -1,7 +1,8 @@
 """A store while it is open, in a file or on a server: statements, their transaction, which recorder may commit it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -47,6 +48,9 @@ class Connection(Protocol):
 
     def read(self, query: str, parameters: Sequence[Any]) -> list[dict[str, Any]]:
         """Rows of a SELECT."""
+
+    def part(self) -> AbstractContextManager[None]:
+        """Damage that is met within undoes this part of a transaction only. Elsewhere a server's writer has no room."""
 
     def check_place(self) -> None:
         """Raises NoRoom if the store is no longer where it was."""
@@ -205,6 +209,13 @@ class Database:
         """Execute a statement in the transaction that `commit` ends; the number of rows that it changed."""
         self._begin()
         return self._execute(statement, parameters)
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Damage that is met within ends this part of the transaction only. Nothing may be committed in it."""
+        self._begin()
+        with self._connection.part():
+            yield
 
     def write_many(self, statement: str, rows: Sequence[Sequence[Any]]) -> None:
         """The same for each of these rows."""

@@ -13,8 +13,8 @@ import os
 import re
 import socket
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from typing import Any, TypeVar
 from zlib import crc32
@@ -24,10 +24,10 @@ from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from psycopg.types.numeric import Int8Dumper
 from psycopg.types.string import StrDumper
 
-from cogradar.services.errors import BadInput, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
+from cogradar.services.errors import BadInput, Damaged, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.recorder.store.address import FORM, Address
 from cogradar.services.recorder.store.seal import damage
-from cogradar.services.recorder.store.tables import SCHEMA_VERSION, described, statements
+from cogradar.services.recorder.store.tables import KINDS, SCHEMA_VERSION, definitions, described
 from cogradar.shared.scenario.faults import printable
 
 OLDEST = 14  # version of the server: the first one that ends silent sessions
@@ -36,7 +36,6 @@ POLL_S, RETRY_S = 0.05, 0.5
 LOCK_S = 5  # that a transaction may wait for another one
 CONNECT_WITHIN_S = 3
 CLASS = 0x636F6772  # "cogr": of our advisory locks
-KINDS = {"TEXT": "text", "INTEGER": "bigint", "REAL": "double precision", "BLOB": "bytea"}  # of SQLite, and here
 # Within 11 s both ends know that the other machine is gone, whatever the system's own patience.
 _ALIVE = {"keepalives_idle": 5, "keepalives_interval": 2, "keepalives_count": 3, "tcp_user_timeout": 10_000}
 _SESSION = (
@@ -49,7 +48,8 @@ _AWAY = re.compile(
     "08|57P|25P03|25006|55P03"
 )  # states: lost or ended sessions, a server that begins, a replica, a lock
 _FULL = re.compile("53")
-_DAMAGED = re.compile("XX00[12]")  # of a table, or of an index
+_DAMAGED = re.compile("XX|58")  # a page, an index, a file of the server, or what makes no sense to it
+_OF_RUN = re.compile(r"\bWHERE run = \?")
 _Result = TypeVar("_Result")
 _Connection = psycopg.Connection[tuple[Any, ...]]
 
@@ -80,6 +80,7 @@ class PostgresqlConnection:
         self.name = self._address.shown
         self._owner, self._read_only = owner, read_only
         self._begun = self._has_lock = False
+        self._in_part = False  # of the transaction, which can be undone alone
         self._lease_s = 0.0
         self._retry_s, self._fault = 0.0, ""
         try:
@@ -133,7 +134,8 @@ class PostgresqlConnection:
             )
         if (encoding := db.info.parameter_status("server_encoding")) != "UTF8":
             raise BadInput(f"{self.name}: a database of encoding {encoding}, must be UTF8")
-        db.execute(f'SET search_path TO "{self._address.schema}"'.encode())
+        # A question about one run looks at no page without rows of it, which may be damaged.
+        db.execute(f'SET search_path TO "{self._address.schema}"; SET enable_seqscan TO off'.encode())
         if self._read_only:
             db.execute("SET default_transaction_read_only TO on")
             return
@@ -253,19 +255,52 @@ class PostgresqlConnection:
             if self._lease_s:  # it is undone, too, if it was set in this transaction
                 self._quietly(self._lease.decode())
             return 0
-        return self._run(lambda db: db.execute(numbered(statement), parameters)).rowcount
+        return self._write(lambda db: db.execute(numbered(statement), parameters)).rowcount
 
     def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement for each of these rows, which wait for one answer together."""
-        self._run(lambda db: db.cursor().executemany(numbered(statement), rows))
+        self._write(lambda db: db.cursor().executemany(numbered(statement), rows))
+
+    def _write(self, ask: Callable[[_Connection], _Result]) -> _Result:
+        """Ask the server to write. Damage ends the whole transaction, unless it is met in a part of one."""
+        try:
+            return self._run(ask)
+        except Damaged as error:
+            if self._in_part:
+                raise
+            raise NoRoom(str(error)) from None
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """What is done within is undone alone if bytes of the store prove to be damaged: the transaction goes on."""
+        if not self._begun or self._in_part:
+            yield
+            return
+        self._run(lambda db: db.execute("SAVEPOINT part"))
+        self._in_part = True
+        try:
+            yield
+        except Damaged:
+            self._run(lambda db: db.execute("ROLLBACK TO part"))
+            raise
+        finally:
+            self._in_part = False
+            self._quietly("RELEASE part")
 
     def rows(self, query: str, parameters: Sequence[Any]) -> list[Any]:
         """Rows of a SELECT."""
-        return self._run(lambda db: db.execute(numbered(query), parameters).fetchall())
+        return self._select(query, parameters).fetchall()
+
+    def _select(self, query: str, parameters: Sequence[Any]) -> psycopg.Cursor[tuple[Any, ...]]:
+        """Ask for rows. A page that cannot be read is damage of the run that is asked for."""
+        found = _OF_RUN.search(query)
+        run = "" if found is None else str(parameters[query.count("?", 0, found.start())])
+        with self.part():
+            return self._run(lambda db: db.execute(numbered(query), parameters), run)
 
     def read(self, query: str, parameters: Sequence[Any]) -> list[dict[str, Any]]:
         """Rows of a SELECT."""
-        cursor = self._run(lambda db: db.execute(numbered(query), parameters))
+        cursor = self._select(query, parameters)
         names = [column.name for column in cursor.description or ()]
         return [dict(zip(names, row, strict=True)) for row in cursor]
 
@@ -314,7 +349,7 @@ class PostgresqlConnection:
             raise StoreFailed(f"{self.name}: the transaction had failed, and was undone")
         return 0
 
-    def _run(self, ask: Callable[[_Connection], _Result]) -> _Result:
+    def _run(self, ask: Callable[[_Connection], _Result], run: str = "") -> _Result:
         """Ask the server. A reader begins another session if this one is lost; a writer does so in `check_room`:
         what another machine may have by then is not what this process has in mind.
         """
@@ -322,18 +357,18 @@ class PostgresqlConnection:
             return ask(self._db)
         except psycopg.Error as error:
             if not (self._read_only and self._db.closed and not self._begun):
-                raise self._failure(error) from None
+                raise self._failure(error, run) from None
         self._db = self._connected()
         try:
             return ask(self._db)
         except psycopg.Error as error:
-            raise self._failure(error) from None
+            raise self._failure(error, run) from None
 
     def _quietly(self, statement: str) -> None:
         with suppress(psycopg.Error):  # with a lost session it is undone by the server
             self._db.execute(statement.encode())
 
-    def _failure(self, error: Exception) -> Failure:
+    def _failure(self, error: Exception, run: str = "") -> Failure:
         if isinstance(error, Failure):
             return error
         state = getattr(error, "sqlstate", None) or ""
@@ -344,7 +379,7 @@ class PostgresqlConnection:
         if _AWAY.match(state):
             return Unreachable(text)
         if _DAMAGED.match(state):
-            return damage(self.name, self._said(error))
+            return damage(self.name, f"run {run!r}: {self._said(error)}" if run else self._said(error), run)
         return NoRoom(text) if _FULL.match(state) else StoreFailed(text)
 
     def _said(self, error: Exception) -> str:
@@ -360,24 +395,3 @@ def numbered(statement: str) -> bytes:
     """
     first, *others = statement.replace("main.", "").split("?")
     return "".join([first, *(f"${i}{part}" for i, part in enumerate(others, 1))]).encode()
-
-
-def definitions() -> list[str]:
-    """What makes the tables, with their comments."""
-    made = ["CREATE TABLE store (version BIGINT NOT NULL)", "COMMENT ON TABLE store IS 'of these tables'"]
-    for statement in statements():
-        text = re.sub(r"-- .*", "", statement).replace("WITHOUT ROWID", "")
-        for kind, own in KINDS.items():
-            text = re.sub(rf"\b{kind}\b", 'text COLLATE "C"' if kind == "TEXT" else own, text)
-        made.append(text)
-    for one, columns in described():
-        made.append(f"COMMENT ON TABLE {one.name} IS {_quoted(one.meaning)}")
-        for column in columns:
-            unit = f"[{column.unit}] " if column.unit else ""
-            made.append(f"COMMENT ON COLUMN {one.name}.{column.name} IS {_quoted(unit + column.meaning)}")
-    # Numbers in MessagePack hardly shrink.
-    return [*made, "ALTER TABLE message ALTER payload SET STORAGE EXTERNAL"]
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"

@@ -9,8 +9,8 @@ import shutil
 import sqlite3
 import sys
 import weakref
-from collections.abc import Sequence
-from contextlib import closing, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from difflib import get_close_matches
 from functools import cache, partial
 from pathlib import Path
@@ -129,6 +129,11 @@ class SqliteConnection:
             return self.db.execute(statement, parameters).rowcount
         except sqlite3.Error as error:
             raise failure(self.name, error) from None
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Damage undoes the statement that meets it, and nothing else."""
+        yield
 
     def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement for each of these rows."""

@@ -15,6 +15,7 @@ from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 SCHEMA_VERSION = 20
 MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
 MEMORY = ":memory:"
+KINDS = {"TEXT": "text", "INTEGER": "bigint", "REAL": "double precision", "BLOB": "bytea"}  # of SQLite, and here
 ALL_ROWS = 2**62  # as a LIMIT
 
 # In the words of SQLite, from which other stores have theirs. Comments stay in a file's own description of itself
@@ -127,3 +128,24 @@ def described() -> Iterator[tuple[Described, list[Described]]]:
         ((name, meaning),) = re.findall(r"CREATE TABLE (\w+) \( -- (.*)", text)
         columns = re.findall(r"^ *([a-z]\w*) (\w+).*?,? -- (?:\[(.*?)\] )?(.*)$", text, re.MULTILINE)
         yield Described(name, "", "", meaning), [Described(*column) for column in columns]
+
+
+def definitions() -> list[str]:
+    """What makes the tables on a server, with their comments."""
+    made = ["CREATE TABLE store (version BIGINT NOT NULL)", "COMMENT ON TABLE store IS 'of these tables'"]
+    for statement in statements():
+        text = re.sub(r"-- .*", "", statement).replace("WITHOUT ROWID", "")
+        for kind, own in KINDS.items():
+            text = re.sub(rf"\b{kind}\b", 'text COLLATE "C"' if kind == "TEXT" else own, text)
+        made.append(text)
+    for one, columns in described():
+        made.append(f"COMMENT ON TABLE {one.name} IS {_quoted(one.meaning)}")
+        for column in columns:
+            unit = f"[{column.unit}] " if column.unit else ""
+            made.append(f"COMMENT ON COLUMN {one.name}.{column.name} IS {_quoted(unit + column.meaning)}")
+    # Numbers in MessagePack hardly shrink.
+    return [*made, "ALTER TABLE message ALTER payload SET STORAGE EXTERNAL"]
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"

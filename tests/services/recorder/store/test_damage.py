@@ -20,7 +20,7 @@ from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.check import TABLES, check
 from cogradar.services.recorder.store.copy import copy
-from cogradar.services.recorder.store.seal import SEALED, damage
+from cogradar.services.recorder.store.seal import SEALED, damage, sealed
 from cogradar.services.recorder.store.tables import described
 from cogradar.services.runs import in_process
 from cogradar.shared.protocol.events import Tick
@@ -203,6 +203,23 @@ def test_a_run_whose_row_is_damaged_while_it_goes_on_is_set_aside_at_its_end(nam
         assert [answer.ended for answer in told if isinstance(answer, Checkpoint)] == [True, True]
         row = journal.read("SELECT status, digest FROM run WHERE run = 'other'")
     assert row == [{"status": "quarantined", "digest": None}]
+
+
+@pytest.mark.parametrize("column", ["seed", "acknowledged_k"])
+def test_a_damaged_row_never_gets_a_checksum_that_fits(name: str, column: str) -> None:
+    """Whatever is written to it once its run is set aside."""
+    _damage(name, "run", column, np.random.default_rng(1), LIVE)
+    with closing(Journal(name, owner="recorder")) as journal:
+        journal.quarantine_damaged()
+        journal.quarantine(LIVE, "again")
+        with pytest.raises(Damaged, match=f"run '{LIVE}', table run"):
+            journal.hinder(LIVE, "late")
+        with pytest.raises(Damaged, match=f"run '{LIVE}', table run"):
+            journal.add_conflict(LIVE)
+        journal.commit()
+        (row,) = journal.read("SELECT * FROM run WHERE run = ?", [LIVE])
+    assert (row["status"], row["reason"]) == ("quarantined", "again")
+    assert sealed("run", row)["checksum"] != row["checksum"]
 
 
 def _runs(name: str) -> list[dict[str, Any]]:
