@@ -6,6 +6,7 @@ from contextlib import closing
 from typing import Any
 
 from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.recorder.store.address import is_server
 from cogradar.services.recorder.store.check import (
     OF_RUNS,
     TABLES,
@@ -17,6 +18,7 @@ from cogradar.services.recorder.store.check import (
     pages,
 )
 from cogradar.services.recorder.store.database import Database
+from cogradar.shared.scenario.faults import printable
 
 
 def copy(
@@ -29,7 +31,7 @@ def copy(
     report : gets the table and how many rows of it are copied; what it raises ends the copy; the target is then empty
     only_intact : leave out runs with a damaged row
 
-    Raises BadInput if the target is not empty, Damaged, StoreFailed.
+    Raises BadInput if the target is not empty or cannot hold a text, Damaged, StoreFailed.
     """
     with held_still(source) as theirs, closing(Database(target, owner="cogradar store")) as ours:
         if full := [name for name in TABLES if ours.rows(f"SELECT 1 FROM {name} LIMIT 1")]:
@@ -54,6 +56,8 @@ def copy(
             for name, run in parts:
                 insert = f"INSERT INTO {name} VALUES ({','.join('?' * len(TABLES[name]))})"
                 for rows in pages(theirs, name, run):
+                    if is_server(target):
+                        _check_texts(theirs.path, name, rows)
                     ours.write_many(insert, rows)
                     _add(digests[0], rows)
                     counts[name] += len(rows)
@@ -70,6 +74,16 @@ def copy(
             ours.rollback()
             raise
     return counts
+
+
+def _check_texts(path: str, table: str, rows: Sequence[tuple[Any, ...]]) -> None:
+    """Raises BadInput for the one character that no text of a server can have: it would be another text there."""
+    for row in rows:
+        for column, value in zip(TABLES[table], row, strict=True):
+            if isinstance(value, str) and "\0" in value:
+                of = f"run {row[TABLES[table].index('run')]!r}, " if table in OF_RUNS else ""
+                where = printable(f"{path}: {of}table {table}, column {column}")
+                raise BadInput(f"{where}: a text with U+0000, which no PostgreSQL server can hold: copy to a file")
 
 
 def _add(digest: Any, rows: Sequence[tuple[Any, ...]]) -> None:

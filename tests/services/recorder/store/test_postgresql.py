@@ -39,7 +39,8 @@ from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.events import Tick
-from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message
+from cogradar.shared.protocol.orders import PowerLimit
 from cogradar.shared.wire.queries import NotNow
 from cogradar.shared.wire.runner import Core
 from tests.postgresql import Server, running
@@ -401,6 +402,23 @@ def test_stores_are_copied_both_ways_and_only_into_empty_ones(postgresql: Server
     assert digest in contents[0][0][0]
     done = CliRunner().invoke(app, ["store", "copy", file, url])
     assert (done.exit_code, "has rows: copy to a new file or an empty schema" in done.output) == (2, True)
+
+
+@pytest.mark.parametrize("table", ["run", "command"])
+def test_a_text_that_no_server_can_hold_is_refused_and_named(postgresql: Server, tmp_path: Path, table: str) -> None:
+    file, url = str(tmp_path / "a.db"), postgresql.url()
+    with closing(Journal(file)) as journal:
+        journal.add_run(START)
+        action = PowerLimit(share=0.5)
+        journal.add_command(
+            Command(run="r", id="0" * 32, by="me", action=action, at=0), 1, None, "no\0" * (table != "run")
+        )
+        journal.hinder("r", "late\0" * (table == "run"))
+    with pytest.raises(BadInput, match=rf"run 'r', table {table}, column reason: a text with U\+0000"):
+        copy(file, url)
+    with closing(Journal(url)) as journal:
+        assert journal.start("r") is None
+    copy(file, str(tmp_path / "b.db"))
 
 
 def test_values_of_a_row_are_told_apart() -> None:
