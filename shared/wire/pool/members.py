@@ -4,6 +4,7 @@ The tokens and the clocks are handed in (`tokens`: over Zenoh; a simulation has 
 """
 
 import logging
+import math
 import re
 import zlib
 from collections import deque
@@ -17,6 +18,7 @@ from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
+LATE_S = 3 * SETTLE_S  # from a look at tokens until the own one is seen: after that others may have looked in vain
 MORE_LOOKS = 4  # at tokens, if own ones are not among them
 _PRESENT = "any-"  # begins the part of a key that is no shard
 _NUMBERS = {str(shard): shard for shard in ALL_SHARDS}
@@ -108,6 +110,7 @@ class Pool:
         self._due_s = self._looked_s = 0.0
         self._cpu_s = 0.0  # of this thread, when it looked last
         self._routers = tokens.routers()
+        self._shown_s, self._is_late = -math.inf, False  # when it showed that it is there, and whether others missed it
         self._n_known = 0  # links to routers that were lost, when this process looked last
         there = tokens.there()  # asked first: an answer just after the subscription may be empty
         tokens.watch()
@@ -125,11 +128,14 @@ class Pool:
     def others(self, *, is_shown: bool = False) -> list[str]:
         """Names of processes of another kind that are there.
 
-        is_shown : this process has shown that it is there, too, and asks for those only that began before it: of two
-                   that began at once the earlier one stays
+        is_shown : this process has joined, and asks for those only that began before it: of two that began at once the
+                   earlier one stays. One that was delayed while it joined asks for all: they may not have seen it
         """
+        if is_shown:
+            self._tokens.wait(max(self._shown_s + LATE_S + SETTLE_S - self._tokens.now_s(), 0.0))
         others = [token for token in self._all() if token.shard.startswith(_PRESENT) and token.shard != self._kind]
-        return sorted(token.name for token in others if not is_shown or token.moment < self._shares.moment)
+        is_heeded = not is_shown or self._is_late
+        return sorted(token.name for token in others if is_heeded or token.moment < self._shares.moment)
 
     def begin(self) -> None:
         """Show that this process is there; it claims its part from now on."""
@@ -138,7 +144,13 @@ class Pool:
 
     def join(self, check: Callable[[], None]) -> None:
         """Show that this process is there, and claim its part; over when it serves it. `check` may raise to give up."""
+        asked_s = self._tokens.now_s()
+        seen = {token.moment for token in self._all()} | {token.moment for token, _ in list(self._tokens.arrived)}
+        self._shares.moment = later_than(seen, self._tokens.moment())  # whatever has come since this process looked
         self.begin()
+        self._tokens.wait(SETTLE_S)
+        self._shown_s = self._tokens.now_s()
+        self._is_late = self._shown_s > asked_s + LATE_S
         while True:
             self._decide(self._tokens.now_s())
             if self._shares.is_settled:

@@ -102,6 +102,37 @@ def test_of_kinds_that_start_at_once_the_later_one_sees_the_other_when_they_have
         process.session.close()
 
 
+@pytest.mark.parametrize("is_at_show", [False, True])
+def test_one_that_was_delayed_before_it_was_seen_leaves_the_other_its_pool(
+    router: str, monkeypatch: pytest.MonkeyPatch, *, is_at_show: bool
+) -> None:
+    """The other one looked, joined and looked again meanwhile, and saw nothing: it will not look any more."""
+    late, other = _Process(router, "a"), _Process(router, "b", "zenoh:roof")
+    show, said = late.tokens.show, list[list[str]]()
+
+    def join_other() -> None:
+        other.pool.join(lambda: None)
+        said.append(other.pool.others(is_shown=True))
+
+    def delayed(shard: str, moment: str) -> Callable[[], None]:
+        if not said:
+            join_other()
+        return show(shard, moment)
+
+    if is_at_show:
+        monkeypatch.setattr(late.tokens, "show", delayed)
+    else:
+        join_other()
+
+    def go_on() -> None:
+        other.pool.news()
+
+    late.pool.join(go_on)
+    assert (said, late.pool.others(is_shown=True)) == ([[]], ["b"])
+    for process in (late, other):
+        process.session.close()
+
+
 def test_one_that_was_frozen_serves_nothing_when_it_goes_on(
     start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
