@@ -302,6 +302,8 @@ class RecorderCore:
     def _advance(self, run: RecordedRun) -> Sequence[Message]:
         """Complete what is there; a checkpoint now and then, and at the end."""
         try:
+            if run.forgive():
+                self._journal.hinder(run.start.run, run.hindrances)
             while run.is_ready():
                 run.complete()
                 run.digest.advance(self._journal, run.k)
@@ -367,8 +369,6 @@ class RecorderCore:
         going_on = {name for name, run in self._runs.items() if run.has_news and not run.pacing.has_deadlines}
         for name, run in list(self._runs.items()):
             run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
-            if run.forgive():
-                self._journal.hinder(name, run.hindrances)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()

@@ -18,6 +18,7 @@ from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.services.recorder.store.check import TABLES, check
 from cogradar.services.recorder.store.copy import copy
 from cogradar.services.recorder.store.seal import SEALED, damage, sealed
@@ -203,6 +204,26 @@ def test_a_run_whose_row_is_damaged_while_it_goes_on_is_set_aside_at_its_end(nam
         assert [answer.ended for answer in told if isinstance(answer, Checkpoint)] == [True, True]
         row = journal.read("SELECT status, digest FROM run WHERE run = 'other'")
     assert row == [{"status": "quarantined", "digest": None}]
+
+
+def test_what_a_tick_says_of_other_runs_is_said_when_it_meets_damage(
+    name: str, sent: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run ends with a tick, and the row of the next one, which is to be changed in the same tick, is damaged."""
+    with closing(Journal(name, owner="recorder")) as journal:
+        core = RecorderCore(journal)
+        start, *others = [message.model_copy(update={"run": "paced"}) for message in sent]
+        core.handle(start.model_copy(update={"rate_hz": 10.0}))
+        for message in others[:-2]:
+            core.handle(message)
+        core.handle(others[-1])
+        core.handle(sent[0].model_copy(update={"run": "later"}))
+        journal.commit()
+        journal.write("UPDATE run SET seed = seed + 1 WHERE run = 'later'")
+        journal._running.clear()
+        monkeypatch.setattr(RecordedRun, "forgive", lambda run: run.start.run == "later" and "paced" not in core._runs)
+        told = [answer for tick in range(40) for answer in core.handle(Tick(tick / 4))]
+        assert {answer.run for answer in told if isinstance(answer, Checkpoint) and answer.ended} == {"paced", "later"}
 
 
 @pytest.mark.parametrize("column", ["seed", "acknowledged_k"])
