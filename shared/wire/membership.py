@@ -38,6 +38,11 @@ class LiveNames:
         if name in self._names:
             self.absent[name] = now_s
 
+    def forget(self, name: str) -> None:
+        """A member is no more, whatever is known of its token."""
+        self._names.discard(name)
+        self.absent.pop(name, None)
+
     def expire(self, now_s: float, *, is_connected: bool) -> bool:
         """Remove names that were absent for too long; none while this process itself has no router. Whether any was."""
         if not is_connected:

@@ -26,6 +26,7 @@ from cogradar.shared.wire.membership import LiveNames
 
 FOR_S = 1.0  # how long an answer is given again
 WINDOW_S = 10.0  # that rates and percentiles are over
+GONE_S = 60.0  # without a token or an answer, also where no router answers that could have hidden them
 MAX_RUNS = 20  # whose owners are told
 _DWELLS = {  # what a role's dwells are counted by: a sample, and its topic
     Role.EMULATOR: ("cogradar_dwell_seconds_count", ""),
@@ -107,6 +108,8 @@ class Machines:
             self._live.appear(name)
         for name in set(self._live.names) - present - self._live.absent.keys():
             self._live.disappear(name, now_s)
+        for name in [name for name, since_s in self._live.absent.items() if now_s - since_s > GONE_S]:
+            self._live.forget(name)
         self._live.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
         return {(role, name) for role, _, name in (one.partition("/") for one in self._live.names)}
 

@@ -113,6 +113,22 @@ def test_a_process_that_is_too_busy_to_answer_is_there_and_is_gone_once_its_toke
     assert gone[""] == (False, False, None)
 
 
+def test_a_process_that_is_gone_for_long_is_gone_also_where_no_router_answers(
+    core: MetricsCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [1000.0]
+    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    gathered = [Gathered({(Role.ALLOCATOR, "once"): read(Exposition(_Process().measures).text())}, set())]
+    monkeypatch.setattr(core, "gather", lambda: gathered[0])
+    machines = Machines(core)
+    names = []
+    for at_s in (0.0, 1.0, 30.0, 62.0):
+        now[0] = 1000.0 + at_s
+        names.append({row["name"] for row in json.loads(machines._read())["processes"]} - {""})
+        gathered[0] = Gathered({}, {(Role.ALLOCATOR, "")})
+    assert names == [{"once"}, {"once"}, {"once"}, set()]
+
+
 def _numbered(names: list[str]) -> dict[str, str]:
     """By track."""
     return {str(track): name for track, name in enumerate(names, 1)}
