@@ -1,11 +1,15 @@
 """Answers to questions: what they are of, and what is said where there is none."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import pytest
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.store.database import Database
 from cogradar.services.runs.run import PICTURE, result
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
@@ -90,6 +94,26 @@ def test_a_run_in_progress_whose_scan_is_damaged_hides_no_other(sent: list[Messa
     (run,) = answer(store, "runs", {})
     assert run["waiting_for"].startswith("scan of dwell 0: cannot be read: ")
     assert run["fault"] is None
+
+
+@pytest.mark.parametrize("n_run", [2, 200])
+def test_rows_of_many_runs_are_verified_with_as_many_questions_as_of_few(
+    n_run: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, asked = in_memory(), list[str]()
+    for i in range(n_run):
+        store.journal.add_run(smoke_start(run=f"r{i}"))
+    store.journal.give_up_unfinished()
+    read = Database.read
+
+    def counted(self: Database, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        asked.append(query)
+        return read(self, query, parameters)
+
+    monkeypatch.setattr(Database, "read", counted)
+    assert len(answer(store, "runs", {})) == min(n_run, 200)
+    store.check_rows()
+    assert len(asked) == 3  # the runs, their rows, and all names once more
 
 
 def test_p_d_and_rmse_agree_with_the_rows(sent: list[Message]) -> None:
