@@ -107,7 +107,7 @@ def test_one_that_was_delayed_before_it_was_seen_leaves_the_other_its_pool(
     router: str, monkeypatch: pytest.MonkeyPatch, *, is_at_show: bool
 ) -> None:
     """The other one looked, joined and looked again meanwhile, and saw nothing: it will not look any more."""
-    late, other = _Process(router, "a"), _Process(router, "b", "zenoh:roof")
+    late, other = (_Process(router, *one, "3d5c") for one in (("a", ""), ("b", "zenoh:roof")))
     show, said = late.tokens.show, list[list[str]]()
 
     def join_other() -> None:
