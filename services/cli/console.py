@@ -184,6 +184,8 @@ class Stop(threading.Event):
 
     def __init__(self) -> None:
         super().__init__()
+        # A signal's handler runs in the main thread, also where that waits for this event and holds its lock.
+        self._cond = threading.Condition(threading.RLock())
         self._before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def forget(self) -> None:

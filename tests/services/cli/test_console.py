@@ -5,6 +5,7 @@ import io
 import os
 import signal
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from typer.testing import CliRunner
 
 from cogradar.services.cli import console
 from cogradar.services.cli.app import app
-from cogradar.services.cli.console import CONFIG_VARIABLE, call, command, endpoints, print_csv, say, wrong_usage
+from cogradar.services.cli.console import CONFIG_VARIABLE, Stop, call, command, endpoints, print_csv, say, wrong_usage
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
 from cogradar.shared.scenario.files import ScenarioError
 from cogradar.shared.scenario.plugins.names import names_of
@@ -216,3 +217,17 @@ def test_on_a_terminal_it_says_so_at_one_place(capsys: pytest.CaptureFixture[str
         tell("half of it")
     assert "half of it" in shown.getvalue()
     assert capsys.readouterr().err == ""
+
+
+def test_a_signal_that_comes_while_the_stop_is_waited_for_stops() -> None:
+    stop = Stop()
+    stop.forget()
+
+    def interrupted() -> None:  # as the handler does it to a thread that is about to wait
+        with stop._cond:
+            stop._on_signal(signal.SIGTERM, None)
+
+    waiting = threading.Thread(target=interrupted, daemon=True)
+    waiting.start()
+    waiting.join(10.0)
+    assert (stop.is_set(), stop.exit_code) == (True, 128 + signal.SIGTERM)
