@@ -140,8 +140,10 @@ def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, mo
     Journal(str(path)).close()
 
     def read_only(file: str, **options: Any) -> sqlite3.Connection:
-        is_it = path.name in str(file)  # and not a schema that is made in memory, for comparison
-        return connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True}) if is_it else connect(file, **options)
+        if path.name in str(file):  # and not a schema that is made in memory, for comparison
+            file, options = f"{path.as_uri()}?mode=ro", options | {"uri": True}
+        opened: sqlite3.Connection = connect(file, **options)
+        return opened
 
     monkeypatch.setattr(sqlite3, "connect", read_only)
     with pytest.raises(BadInput, match=r"archived\.db: attempt to write a readonly database"):
