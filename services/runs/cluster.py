@@ -28,11 +28,13 @@ CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
 ALIVE_WITHIN_S = 30.0  # for services that should be up already, or were started just now by hand
 ANSWER_WITHIN_S = 10.0
+METRICS = "metrics to know the run"
 QUIET_S = 5.0  # that processes may take to come up before anybody is told
 POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
 LONGEST_WAIT_S = 3.0  # the first answer is slow, while kernels are loaded
 STALL_S = 60.0  # without a new dwell: the loop hangs
+SILENT_S = 600.0  # without an answer about a run that went on: it may well do so, metrics alone is away or busy
 EMULATOR = f"the {Role.EMULATOR}"
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 NAMED = 5  # planners, in the message of a run that stands still
@@ -237,11 +239,15 @@ def _watch(
             report(now)
         if done is not None:
             return done
-        if now is not None and (latest is None or now.k != latest.k or now.waiting_for == NO_ROOM):
+        if now is not None and (
+            latest is None or now.k != latest.k or now.waiting_for == NO_ROOM or now.complete  # only its scores lack
+        ):
             latest, changed = now, time.monotonic()
-        if time.monotonic() - changed > STALL_S:
-            waiting = latest.waiting_for if latest is not None else "metrics to know the run"
-            raise Stalled(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
+        quiet_s = time.monotonic() - changed
+        if quiet_s > (SILENT_S if now is None and latest is not None else STALL_S):
+            waiting = latest.waiting_for if now is not None and latest is not None else METRICS
+            raise Stalled(f"no progress for {quiet_s:.0f} s, waiting for {waiting}")
+        told.silence(quiet_s if now is None and latest is not None else 0.0)
         until = time.monotonic() + max(POLL_S, min(ASKING_SHARE * took, LONGEST_WAIT_S))
         while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once
             check()
@@ -264,6 +270,13 @@ class _Told:
     def __init__(self, notify: Callable[[str], None], front_end: str) -> None:
         self._notify, self._front_end = notify, without_password(front_end)[0]
         self._hindered = self._silent = ""
+        self._is_blind = False
+
+    def silence(self, quiet_s: float) -> None:
+        """Tell once that metrics has not answered for so long; 0: it answers."""
+        if quiet_s > QUIET_S and not self._is_blind:
+            self._notify("metrics does not answer: how far the run is will be seen once it does")
+        self._is_blind = quiet_s > QUIET_S or (self._is_blind and quiet_s > 0.0)
 
     def of(self, now: Progress, quiet_s: float) -> Progress:
         """Tell what is new after so long without a dwell; the progress, which names the receiver that is waited for."""

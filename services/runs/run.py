@@ -4,6 +4,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from cogradar.shared.scenario.plugins.resolver import load_for, named
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES
+from cogradar.shared.wire.queries import NoAnswer
 
 Rows = list[dict[str, Any]]
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
@@ -160,13 +162,16 @@ def progress(ask: Ask, start: RunStart, before: Progress | None = None) -> Progr
         raise RunStopped(f"stopped {rows[0]['reason']}")
     if rows[0]["status"] in {"failed", "quarantined"}:
         raise RunFailed(rows[0]["reason"])
-    row = rows[0]
+    row, targets = rows[0], before.targets if before is not None else []
+    if before is None or before.t != row["t"]:
+        with suppress(NoAnswer):  # a metrics that came back sums all dwells first; meanwhile the run goes on
+            targets = ask("summary", {"run": start.run})
     return Progress(
         row["t"],
         start.dwells,
         row["k"],
         row["waiting_for"],
-        before.targets if before is not None and before.t == row["t"] else ask("summary", {"run": start.run}),
+        targets,
         row["status"] == "complete",
         row["confirmed"],
         row["reason"] or "",

@@ -21,6 +21,7 @@ from cogradar.services.runs.run import Progress, Result, Rows, progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import NoAnswer
 from tests.scenarios import varied
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
@@ -285,3 +286,17 @@ def test_targets_are_asked_for_when_there_are_more_dwells_to_sum() -> None:
         assert before is not None
         assert (before.t, before.k, before.targets) == (t, k, [{"seen": t}])
     assert asked == ["runs", "summary", "runs", "runs", "summary"]
+
+
+def test_progress_needs_no_scores() -> None:
+    """A metrics that was started again sums a long run first. Its run was thought to stand still, and cancelled."""
+    row = {"status": "running", "waiting_for": "", "confirmed": None, "reason": "", "fault": None, "t": 7, "k": 9}
+
+    def ask(metric: str, _: dict[str, str]) -> Rows:
+        if metric == "runs":
+            return [row]
+        raise NoAnswer
+
+    now = progress(ask, _start())
+    assert now is not None
+    assert (now.t, now.k, now.targets) == (7, 9, [])

@@ -1,5 +1,6 @@
 """A run that stands still ends with what it waits for, and with the planners that are there to bring it."""
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -35,3 +36,26 @@ def test_it_names_the_planners(n: int, said: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(cluster, "_query", never)
     with pytest.raises(RunFailed, match=f"know the run; planners that are there: {said}$"):
         cluster._play("tcp/x:1", cast("Any", None), cast("Any", _Bus(n)), smoke_start(), _nothing, _nothing, _nothing)
+
+
+def test_a_run_that_went_on_is_left_alone_while_metrics_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that watched a run cancelled it when metrics was away for a minute."""
+    row = {"status": "running", "waiting_for": "", "confirmed": None, "reason": "", "fault": None, "t": 1}
+    answers: list[list[dict[str, Any]]] = [[row | {"k": 1}], [], *([[]] * 12), [row | {"k": 2}], [row | {"k": 2}]]
+    told, asked = list[str](), iter(answers)
+
+    def query(_: object, __: object, metric: str, ___: object) -> list[dict[str, Any]]:
+        if metric == "runs" and (rows := next(asked)):
+            return rows
+        raise NoAnswer
+
+    clock = iter(range(0, 10_000, 2))
+    monkeypatch.setattr(cluster, "_query", query)
+    monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: float(next(clock)), sleep=_nothing))
+    with pytest.raises(StopIteration):
+        cluster._play(
+            "tcp/x:1", cast("Any", None), cast("Any", _Bus(1)), smoke_start(), _nothing, _nothing, told.append
+        )
+    assert [text for text in told if "metrics" in text] == [
+        "metrics does not answer: how far the run is will be seen once it does"
+    ]
