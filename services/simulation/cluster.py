@@ -137,7 +137,7 @@ class Cluster:
             return
         self.tokens.leave(key)
         if process.role is Role.RECORDER and process.is_left:
-            self.disk.discard_left()
+            self.disk.discard_left(key)
         elif process.role is Role.RECORDER:
             self.disk.crash(torn=torn)
         self.tell_members()
@@ -146,8 +146,9 @@ class Cluster:
         """Start another process in the place of one that is frozen, which stays under another key."""
         process = self.processes.pop(key)
         process.is_left, process.checked = True, None  # the journal goes on without it
-        self.processes[f"{key}.left{self.disk.opened}"] = process
-        self.disk.leave()
+        left = f"{key}.left{self.disk.opened}"
+        self.processes[left] = process
+        self.disk.leave(left)
         self.start(key)
 
     def move(self, key: str, *, away: bool) -> None:

@@ -39,7 +39,8 @@ class Disk:
         self._life = 0
         self._log_before = 0  # bytes of the log that were there before the last commit
         self._journal: SimulatedJournal | None = None
-        self._left: list[SimulatedJournal] = []  # of recorders that were frozen, and have a successor on the same file
+        # Of recorders that were frozen, and have a successor on the same file.
+        self._left: dict[str, SimulatedJournal] = {}
         self.opened = 0
         self.after_commit: Callable[[], None] = lambda: None
         self._backup: Path | None = None
@@ -73,18 +74,17 @@ class Disk:
         """File of the journal in this life."""
         return Path(self._folder.name) / f"{self._life}.db"
 
-    def leave(self) -> None:
+    def leave(self, key: str) -> None:
         """The recorder is frozen for so long that its lock is taken from it: another one may open the file."""
         if self._journal is not None:
             self._journal.lose_lock()
-            self._left.append(self._journal)
+            self._left[key] = self._journal
             self._journal = None
 
-    def discard_left(self) -> None:
-        """Those that were frozen are gone."""
-        for journal in self._left:
+    def discard_left(self, key: str) -> None:
+        """One that was frozen is gone."""
+        if (journal := self._left.pop(key, None)) is not None:
             journal.discard()
-        self._left.clear()
 
     def limit(self) -> None:
         """Let the disk be full, or not."""
@@ -185,7 +185,8 @@ class Disk:
 
     def close(self) -> None:
         """Remove all files."""
-        self.discard_left()
+        for key in list(self._left):
+            self.discard_left(key)
         if self._journal is not None:
             self._journal.discard()
         self._folder.cleanup()

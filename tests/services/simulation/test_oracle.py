@@ -103,6 +103,16 @@ def test_a_radar_that_runs_ahead_is_found(monkeypatch: pytest.MonkeyPatch) -> No
     assert "ahead of the journal, at most 1" in _played(slow, commands=commands).violation
 
 
+def test_of_two_frozen_recorders_each_keeps_its_journal_open() -> None:
+    """The journals of both were closed when the one went on that came second, and ended."""
+    first, second = (
+        Fault(Kind.SUCCESSOR, 0.0204, 4.6790, "recorder-0", n=0),
+        Fault(Kind.SUCCESSOR, 1.5143, 2.5356, "recorder-0", n=1),
+    )
+    often = {"run_seed": 4, "planners": 1, "checkpoint_dwells": 2, "snapshot_dwells": 2}
+    assert _played(second, first, **often).violation == ""
+
+
 def test_of_a_waveform_without_power_less_is_the_same() -> None:
     """That of a pause was divided by its power, where a limited waveform was looked for among all of its run."""
     assert checks._limited(("a", 0.0, b""), 0.5) == ("a", 0.0, b"")
