@@ -299,6 +299,10 @@ class ProcessRow(Document):
     name: str = Field(description="Empty: this role has no process.")
     alive: bool = Field(description="Whether it is there: it shows itself alive, or did half a second ago.")
     answers: bool = Field(description="Whether it answered within two seconds; else all numbers are null.")
+    began_utc_s: float | None = Field(
+        description="When it was started, by its own clock: another number, another start."
+    )
+    dwells: float | None = Field(description="Dwells since then, of all runs; null for a role without dwells.")
     dwells_per_s: float | None
     dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
     dwell_p99_ms: float | None
@@ -322,6 +326,7 @@ class ProcessRow(Document):
 class Processes(Document):
     """Every process, and which tracks of the running runs it owns."""
 
+    utc_s: float = Field(description="When this was, by the clock of metrics.")
     window_s: float | None = Field(description="That rates and times are over; null: since the processes began.")
     processes: list[ProcessRow]
     owners: dict[str, dict[int, str]] = Field(

@@ -1,5 +1,5 @@
-// What is wrong with a run that is watched live, in a line: it stands still, and why; plans are late, and whether for
-// the front end; cells are blind, looks are not measured, a certificate is about to end.
+// What is wrong with a run that is watched live, in a line: a role has no process; it stands still, and why; plans are
+// late, and for whom; cells are blind, looks are not measured, a certificate is about to end.
 
 import { Latest, ask } from "./api.js";
 import * as says from "./says.js";
@@ -10,18 +10,20 @@ const ASK_MS = 3000;
 const SILENT_MS = 6000; // or so many dwells without one:
 const SILENT_DWELLS = 5;
 const LATELY = 20; // dwells over which shares are counted
-const CERTIFICATES_MS = 600000; // between two looks at certificates
+const ROLES_MS = 5000; // between two looks at the processes of a run that seems well
+const REFUSED_MS = 60_000; // ... if the service has no router that it could ask
+const START_S = 5; // from the start of a process to its first dwell
 const SOON_DAYS = 30;
 const SLOW = 0.5; // of a dwell, after which a scan leaves too little for the plans
 const ALARMING = 0.05; // of plans that are late, of cells that are blind, of looks that are not measured
 
 export class Alarms {
   constructor(session) {
-    Object.assign(this, { session, run: null, newest: 0, since: 0, reasons: [], ending: [], frontEnd: null, askAt: 0 });
-    this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer) => {
-      this.reasons = answer ? reasonsOf(answer.processes) : [];
-      this.frontEnd = answer?.processes.find((one) => one.front_end_p99_ms != null)?.front_end_p99_ms ?? null;
+    Object.assign(this, { session, run: null, newest: 0, since: 0, found: null, ending: [], askAt: 0 });
+    this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer, problem) => {
+      this.found = answer;
       this.ending = answer ? endingOf(answer.processes) : this.ending;
+      if (problem) this.askAt = performance.now() + REFUSED_MS;
     });
     setInterval(() => document.hidden || this.look(), EVERY_MS);
   }
@@ -31,38 +33,41 @@ export class Alarms {
     const { player, radar, dwells, row } = session;
     const now = performance.now();
     if (session.run !== this.run || player.newest !== this.newest || !player.isRunning || document.hidden) {
-      Object.assign(this, { run: session.run, newest: player.newest, since: now, reasons: [] });
+      Object.assign(this, { run: session.run, newest: player.newest, since: now });
     }
     if (!row || !player.isRunning || player.mode !== "live") {
       says.notice("alarm", null);
+      this.found = null;
       return;
     }
-    if (now >= this.askAt) {
-      this.askAt = now + CERTIFICATES_MS;
-      this.latest.want();
-    }
     const [late, ...found] = lately(dwells.before(player.newest, LATELY));
-    if (late) {
-      this.latest.want();
-      found.unshift(late + whyLate(this.frontEnd, 1000 / radar.rate_hz));
-    }
     const silent = now - this.since;
-    if (silent > Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / (radar.rate_hz || Infinity))) {
+    const isSilent = silent > Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / (radar.rate_hz || Infinity));
+    if (late || isSilent || now >= this.askAt) {
+      this.askAt = now + ROLES_MS;
       this.latest.want();
-      const why = this.reasons.length ? `: ${this.reasons.join(", ")}` : "";
-      found.unshift(`No new dwell for ${fixed(silent / 1000, 0)} s${why}`);
+    }
+    const missing = missingOf(this.found);
+    if (late) found.unshift(late + (missing.length ? "" : whyLate(this.found, radar.rate_hz)));
+    if (isSilent) {
+      const why = [...fullOf(this.found), ...missing.map((role) => `no ${role}`)].join(", ");
+      found.unshift(`No new dwell for ${fixed(silent / 1000, 0)} s${why && `: ${why}`}`);
+    } else {
+      found.unshift(...missing.map((role) => `No ${role}${WITHOUT[role] ?? ""}`));
     }
     found.push(...this.ending);
     says.notice("alarm", found.length ? `${found.join("; ")}.` : null);
   }
 }
 
-// Why nothing comes: roles without a process, and a recorder that cannot write.
-function reasonsOf(processes) {
-  const missing = processes.filter((one) => !one.alive && !one.name).map((one) => `no ${one.role}`);
-  const full = processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full, or its store is gone or away`);
-  return [...full, ...missing];
-}
+const WITHOUT = { // what comes of it that a role has no process
+  planner: ": tracks are not updated",
+  allocator: ": waveforms are not updated",
+  emulator: ": nothing is transmitted",
+  recorder: ": no dwell is recorded",
+};
+const missingOf = (answer) => answer?.processes.filter((one) => !one.alive && !one.name).map((one) => one.role) ?? [];
+const fullOf = (answer) => answer?.processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full, or its store is gone or away`) ?? [];
 
 // Whose certificate is about to end; of several only how many, and the first.
 function endingOf(processes) {
@@ -74,9 +79,19 @@ function endingOf(processes) {
   return [`The certificate of ${first.name}${more} ${when}`];
 }
 
-// Whether late plans are the front end's: the longest of its times in 100 dwells, beside a dwell, both in ms.
-function whyLate(frontEnd, dwell) {
+// Why plans are late: a planner is away or was until a moment ago; else whether the front end takes too much of a dwell,
+// by the longest of its times in 100 dwells.
+function whyLate(answer, rate) {
+  if (!answer) return "";
+  const planners = answer.processes.filter((one) => one.role === "planner");
+  const silent = planners.find((one) => !one.answers);
+  if (silent) return `: ${silent.name} does not answer`;
+  const since = (one) => answer.utc_s - one.began_utc_s;
+  const young = planners.find((one) => one.began_utc_s !== null && (one.dwells === 0 || since(one) < START_S + LATELY / rate));
+  if (young) return `: ${young.name} was started ${fixed(Math.max(since(young), 0), 0)} s ago`;
+  const frontEnd = answer.processes.find((one) => one.front_end_p99_ms !== null)?.front_end_p99_ms ?? null;
   if (frontEnd === null) return "";
+  const dwell = 1000 / rate;
   const took = `the front end takes up to ${fixed(frontEnd, 0)} ms of a dwell of ${fixed(dwell, 0)} ms`;
   return frontEnd > SLOW * dwell ? `, for ${took}` : `: the planners are slow (${took})`;
 }

@@ -30,7 +30,7 @@ GONE_S = 60.0  # without a token or an answer, also where no router answers that
 MAX_RUNS = 20  # whose owners are told
 _DWELLS = {  # what a role's dwells are counted by: a sample, and its topic
     Role.EMULATOR: ("cogradar_dwell_seconds_count", ""),
-    Role.PLANNER: ("cogradar_messages_received_total", "scan"),
+    Role.PLANNER: ("cogradar_handling_seconds_count", "scan"),  # that it has computed, not only received
     Role.ALLOCATOR: ("cogradar_messages_sent_total", "waveform"),
     Role.RECORDER: ("cogradar_dwells_total", ""),
 }
@@ -91,6 +91,7 @@ class Machines:
         missing = {role for role, name in gathered.silent if not name} - {role for role, _ in live}
         rows += [_without_numbers((role, "")) for role in missing]
         document = {
+            "utc_s": time.time(),
             "window_s": None if before is None else now.at_s - before.at_s,
             "processes": sorted(rows, key=lambda row: (list(Role).index(row["role"]), row["name"])),
             "owners": self._owners(tuple(sorted(name for role, name in live if role == Role.PLANNER))),
@@ -159,6 +160,8 @@ def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, 
         "name": name,
         "alive": True,
         "answers": True,
+        "began_utc_s": counted.get(_BEGAN),
+        "dwells": counted.get((sample, topic, ""), 0.0) if sample and counted else None,
         "dwells_per_s": None if n_dwell is None or before is None else n_dwell / (now.at_s - before.at_s),
         **_percentiles("dwell", recent, "cogradar_dwell_seconds", "", (0.5, 0.99)),
         "handling_of": busiest,

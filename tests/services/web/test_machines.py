@@ -52,7 +52,9 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     planner, router = _Process(), _Process()
     alive = {(Role.PLANNER, "a"): planner, (Role.PLANNER, "b"): _Process(), (Role.ROUTER, "router"): router}
     now = [1000.0]
-    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(
+        "cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0], time=lambda: now[0])
+    )
     monkeypatch.setattr(
         core,
         "gather",
@@ -68,9 +70,12 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
         planner.work(10, 0.003)
         found = json.loads(machines._read())
     assert found["window_s"] == pytest.approx(10.0)
-    (_, a, b) = found["processes"]
+    (router_row, a, b) = found["processes"]
     assert (a["dwells_per_s"], a["handling_of"]) == (pytest.approx(10.0), "scan")
     assert 2.0 <= a["handling_p50_ms"] <= a["handling_p99_ms"] <= 5.0
+    assert (a["dwells"], b["dwells"], router_row["dwells"]) == (700.0, 0.0, None)
+    assert a["began_utc_s"] is not None
+    assert found["utc_s"] == now[0]
     assert (b["dwells_per_s"], b["handling_p50_ms"], b["late"]) == (0.0, None, None)
     assert found["owners"] == {"begun": _numbered(owners("begun", 2, ["a", "b"]))}
     del alive[Role.PLANNER, "b"]
@@ -85,7 +90,9 @@ def test_a_process_that_is_too_busy_to_answer_is_there_and_is_gone_once_its_toke
 ) -> None:
     """At a high load an answer may take longer than two seconds, and a token may be missed for a moment."""
     now = [1000.0]
-    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(
+        "cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0], time=lambda: now[0])
+    )
     answer = read(Exposition(_Process().measures).text())
     router, busy = (Role.ROUTER, "router"), (Role.ALLOCATOR, "busy")
     gathered = [Gathered({router: answer, busy: answer}, set())]
@@ -117,7 +124,9 @@ def test_a_process_that_is_gone_for_long_is_gone_also_where_no_router_answers(
     core: MetricsCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [1000.0]
-    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(
+        "cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0], time=lambda: now[0])
+    )
     gathered = [Gathered({(Role.ALLOCATOR, "once"): read(Exposition(_Process().measures).text())}, set())]
     monkeypatch.setattr(core, "gather", lambda: gathered[0])
     machines = Machines(core)

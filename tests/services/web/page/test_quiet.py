@@ -156,15 +156,28 @@ def test_a_run_that_stands_still_says_who_is_missing(quiet: str, show: Open) -> 
     expect(page.locator("#notice")).to_be_hidden()
 
 
-def _with_a_front_end(page: Page, took_ms: float, change: Callable[[Route], None]) -> None:
-    """A run of five dwells a second, whose scans come after so long."""
+def test_a_role_without_a_process_is_said_before_anything_else_is_wrong(quiet: str, show: Open) -> None:
+    nobody = _planner("", alive=False, answers=False, began_utc_s=None) | {"role": "allocator"}
+    page = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[_planner(), nobody]))
+    expect(page.locator("#notice")).to_have_text("No allocator: waveforms are not updated.")
+
+
+def _planner(name: str = "planner-0", **more: object) -> dict[str, object]:
+    """A row of a planner that has been up for long."""
+    usual = {"alive": True, "answers": True, "began_utc_s": 1000.0, "dwells": 9000.0}
+    return {"role": "planner", "name": name, "front_end_p99_ms": None} | usual | more
+
+
+def _with_processes(
+    page: Page, processes: list[dict[str, object]], change: Callable[[Route], None] = lambda route: route.continue_()
+) -> None:
+    """A run of five dwells a second on these processes, five seconds ago."""
 
     def answered(route: Route) -> None:
         answer = route.fetch()
         document = answer.json()
         document.update({"rate_hz": 5.0} if "rate_hz" in document else {})
-        for row in document.get("processes", ())[:1]:
-            row["front_end_p99_ms"] = took_ms
+        document.update({"processes": processes, "utc_s": 2000.0} if "processes" in document else {})
         route.fulfill(response=answer, json=document)
 
     page.route("**/dwells?*", change)
@@ -189,12 +202,25 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
     )
     expect(page.locator("#legend")).to_contain_text("blind cell")
     expect(page.locator("#legend")).to_contain_text("cell not measured")
-    for took, why in (
-        (150.0, ", for the front end takes up to 150 ms of a dwell of 200 ms; "),
-        (8.0, ": the planners are slow (the front end takes up to 8 ms of a dwell of 200 ms); "),
+    emulator = _planner("emulator-0") | {"role": "emulator", "front_end_p99_ms": 154.0}
+    late = "% of the plans are late"
+    for rows, why in (
+        ([emulator, _planner()], f"{late}, for the front end takes up to 154 ms of a dwell of 200 ms; "),
+        (
+            [emulator | {"front_end_p99_ms": 8.0}, _planner()],
+            f"{late}: the planners are slow (the front end takes up to 8 ms of a dwell of 200 ms); ",
+        ),
+        ([emulator, _planner(answers=False, began_utc_s=None)], f"{late}: planner-0 does not answer; "),
+        ([emulator, _planner(), _planner("planner-1", began_utc_s=1995.0)], f"{late}: planner-1 was started 5 s ago; "),
+        ([emulator, _planner(dwells=0.0)], f"{late}: planner-0 was started 1000 s ago; "),
     ):
-        told = show(f"{quiet}/?run=begun", before=partial(_with_a_front_end, took_ms=took, change=change))
-        expect(told.locator("#notice")).to_contain_text(f"% of the plans are late{why}")
+        told = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=rows, change=change))
+        expect(told.locator("#notice")).to_contain_text(why)
+    nobody = _planner("", alive=False, answers=False, began_utc_s=None)
+    told = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[emulator, nobody], change=change))
+    expect(told.locator("#notice")).to_have_text(
+        re.compile(r"^No planner: tracks are not updated; \d+ % of the plans are late; 10 %")
+    )
     as_it_is = show(f"{quiet}/?run=begun")
     expect(as_it_is.locator("#dwell")).to_have_text(str(BEGUN - 1))
     expect(as_it_is.locator("#legend")).to_contain_text("false alarm")
