@@ -26,6 +26,7 @@ const COLUMNS = [
 function stateOf(process) {
   if (!process.alive) return process.name ? "○ gone" : "○ not running";
   if (!process.answers) return "● up, too busy to answer";
+  if (process.isStarting) return "● starting";
   return process.full ? "● cannot write, runs held" : "● up";
 }
 const keyOf = (process) => `${process.role}/${process.name}`; // of a role without a process: without a name
@@ -65,6 +66,8 @@ export class Machines {
       return;
     }
     const now = performance.now();
+    const isRun = Object.keys(answer.owners).length > 0; // of all runs a planner hears
+    for (const one of answer.processes) one.isStarting = isRun && one.role === "planner" && one.dwells === 0;
     this.note(answer.processes, now);
     const all = [...this.seen.values()].map((one) => one.process);
     const up = all.filter((one) => one.alive).length;
@@ -74,7 +77,7 @@ export class Machines {
     this.owners(answer.owners[this.run] ?? null, all, now);
   }
 
-  // Who came and went. One that is gone stays for a while.
+  // What came, went, or was started again between two looks. One that is gone stays for a while.
   note(processes, now) {
     const isFirst = this.seen.size === 0;
     const here = new Set();
@@ -84,7 +87,9 @@ export class Machines {
       const before = this.seen.get(key);
       if (process.alive && !before?.process.alive && !isFirst) this.say(`${process.name} is up`, false);
       if (!process.alive && before?.process.alive) this.say(`${process.name} is gone`, true);
-      this.seen.set(key, { process, since: process.alive ? now : before?.since ?? now });
+      const began = process.began_utc_s ?? before?.began ?? null;
+      if (before?.process.alive && before.began !== null && before.began !== began) this.say(`${process.name} was restarted`, true);
+      this.seen.set(key, { process, began, since: process.alive ? now : before?.since ?? now });
     }
     for (const [key, one] of this.seen) {
       if (here.has(key)) continue;
@@ -127,11 +132,11 @@ export class Machines {
       }
       this.owner.set(track, name);
     }
-    const names = all.filter((one) => one.role === "planner" && one.name).map((one) => [one.name, one.alive]);
-    node.replaceChildren(...names.map(([name, alive]) => {
+    const planners = all.filter((one) => one.role === "planner" && one.name);
+    node.replaceChildren(...planners.map(({ name, alive, isStarting }) => {
       const box = make("div", alive ? "owner" : "owner gone");
       box.dataset.planner = name;
-      box.append(make("h3", "", alive ? name : `${name}: gone`));
+      box.append(make("h3", "", alive ? `${name}${isStarting ? ": starting" : ""}` : `${name}: gone`));
       const list = make("ul");
       for (const [track, owner] of owned) {
         if (owner !== name) continue;

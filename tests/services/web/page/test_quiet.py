@@ -162,6 +162,28 @@ def test_a_role_without_a_process_is_said_before_anything_else_is_wrong(quiet: s
     expect(page.locator("#notice")).to_have_text("No allocator: waveforms are not updated.")
 
 
+def test_a_planner_that_is_restarted_between_two_looks_is_listed_and_starting(quiet: str, show: Open) -> None:
+    rows = [_planner()]
+
+    def answered(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(
+            response=answer, json=answer.json() | {"processes": rows, "owners": {"begun": {"1": "planner-0"}}}
+        )
+
+    page = show(f"{quiet}/?view=machines&run=begun", before=lambda page: page.route("**/processes", answered))
+    row, owner = page.locator("#processes tbody tr"), page.locator(".owner h3")
+    expect(row).to_contain_text("● up")
+    for rows[0] in (_planner(answers=False, began_utc_s=None), _planner(began_utc_s=1995.0, dwells=0.0)):
+        expect(row).to_contain_text("starting" if rows[0]["answers"] else "too busy")
+    expect(owner).to_have_text("planner-0: starting")
+    expect(page.locator("#moves li")).to_have_text(re.compile("planner-0 was restarted$"))
+    rows[0] = _planner(began_utc_s=1995.0, dwells=1.0)
+    expect(row).to_contain_text("● up")
+    expect(owner).to_have_text("planner-0")
+    expect(page.locator("#moves li")).to_have_count(1)
+
+
 def _planner(name: str = "planner-0", **more: object) -> dict[str, object]:
     """A row of a planner that has been up for long."""
     usual = {"alive": True, "answers": True, "began_utc_s": 1000.0, "dwells": 9000.0}
