@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
 LAST = 20  # dwells at the end, over which strategies are compared
-WINDOW = 50  # dwells per row in time
+WINDOW, ROWS = 50, 40  # dwells per row in time, or more of them, so that there are no more rows
 WAVEFORMS = 16  # of each run, for the powers of the antennas
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
@@ -84,7 +84,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "fidelity": radar["fidelity"],
         "rule": radar["planner"]["rule"],
         "dwells": dwells,
-        "first": {key: experiment.complete[0][key] for key in FIRST},
+        "first": {key: experiment.complete[0][key] for key in FIRST} if not experiment.has_no_end else None,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
         "conflicts": sum(run["conflicts"] for run in runs),
@@ -126,7 +126,8 @@ def last_dwells(dwells: int) -> tuple[int, int]:
 
 def _windows(dwells: int) -> list[tuple[int, int]]:
     """First and last dwell of each row in time, and of the whole run."""
-    parts = [(first, min(first + WINDOW - 1, dwells)) for first in range(1, dwells + 1, WINDOW)]
+    width = WINDOW * math.ceil(dwells / (WINDOW * ROWS))
+    parts = [(first, min(first + width - 1, dwells)) for first in range(1, dwells + 1, width)]
     return parts if len(parts) == 1 else [*parts, (1, dwells)]
 
 

@@ -231,7 +231,7 @@ def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
         f"report {report['scenario']}": [
             f"```\n{caption(report)}\n```",
             *tables(report),
-            first_run(report["first"], report["scenario"]),
+            *([first_run(report["first"], report["scenario"])] if report["first"] is not None else []),
         ]
         for report in reports
     }

@@ -324,7 +324,10 @@ def next_step(program: str, result: Result, store: str | None, endpoint: str | N
     """What to type next, ready to be pasted: about a store, or services at an endpoint, or HTTP if it is there."""
     run = result.run["run"]
     if store is not None and result.has_truth:
-        return f"next: {program} figures {quote(store)} --out figures"
+        is_whole = result.run["status"] == "complete" and result.picture.get("dwells") == result.run["t"]
+        if is_whole:
+            return f"next: {program} figures {quote(store)} --out figures"
+        return f"next: {program} query summary --run {run} --store {quote(store)}"
     if store is not None:
         return f"next: {program} query tracks --run {run} --store {quote(store)}"
     if url is not None:

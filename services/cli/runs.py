@@ -37,7 +37,7 @@ from cogradar.services.cli.console import (
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyOption
 from cogradar.services.errors import BadInput
 from cogradar.services.recorder.store.address import SHORT, shown
-from cogradar.services.runs.run import Result, RunStopped, as_played, ending, program, untold
+from cogradar.services.runs.run import Result, RunInterrupted, RunStopped, as_played, ending, program, untold
 from cogradar.services.runs.run import loaded as loadable
 from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
@@ -139,10 +139,10 @@ def run(
 
 @contextmanager
 def _shown_if_stopped(show: Callable[[Result], None]) -> Iterator[None]:
-    """Show what a run has come to that somebody else ends before its time."""
+    """Show what a run has come to that is ended before its time, by Ctrl-C or from elsewhere."""
     try:
         yield
-    except RunStopped as stopped:
+    except (RunStopped, RunInterrupted) as stopped:
         if stopped.result is not None:
             show(stopped.result)
         raise

@@ -16,6 +16,8 @@ from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import TRUE_RULES
 
+BROKEN = ("failed", "stopped")  # status of a run that ended before its time
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -36,6 +38,11 @@ class Experiment:
         return self.complete[0]["n_track"] is None
 
     @property
+    def has_no_end(self) -> bool:
+        """Whether commands ended the runs: the number of dwells does not say how to repeat them."""
+        return bool(self.complete[0]["dwells"] == NO_END)
+
+    @property
     def strategies(self) -> list[str]:
         """Strategies of the complete runs, those that this program knows first."""
         names = {run["strategy"] for run in self.complete}
@@ -49,34 +56,59 @@ class Experiment:
         """Columns of the scores of a strategy's runs, (n_run, dwells, n_target, n_column). Raises BadInput."""
         tables = []
         for run in self.of(strategy):
-            rows = store.scored(f"SELECT {columns} FROM score WHERE run = ? ORDER BY t, target", [run["run"]])
+            rows = store.numbers(f"SELECT {columns} FROM score WHERE run = ? ORDER BY t, target", [run["run"]]).T
             if len(rows) != self.dwells * run["n_target"]:
-                raise BadInput(f"{run['run']} lacks dwells, which were lost in real time: choose other runs")
-            tables.append(np.array([tuple(row.values()) for row in rows], dtype=np.float64))
+                raise BadInput(f"{run['run']} lacks dwells, which were lost in real time{_instead(store, run)}")
+            tables.append(rows)
         return np.array(tables).reshape(len(tables), self.dwells, self.of(strategy)[0]["n_target"], -1)
 
 
 def experiments(store: Store, selection: Selection) -> list[Experiment]:
     """The experiments with complete runs that a selection allows. Raises BadInput if there is none."""
-    # A run without an end has no dwells in common with another one.
-    runs = [run for run in distinct(store, selection) if run["has_truth"] and run["dwells"] != NO_END]
+    chosen = distinct(store, selection)
+    listed = [run for run in chosen if run["status"] in BROKEN and run["has_truth"] and run["dwells"] != NO_END]
+    runs = [run for run in chosen if run in listed or not _obstacle(run)]
     (documents,) = store.read("SELECT COUNT(DISTINCT document) AS n FROM run")
     found = []
-    for number in dict.fromkeys(run["experiment"] for run in runs):
-        mine = sorted((r for r in runs if r["experiment"] == number), key=lambda run: (run["seed"], run["run"]))
-        complete, failed = (
-            tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), ("failed", "stopped"))
-        )
+    for number, dwells in dict.fromkeys((run["experiment"], _dwells(run)) for run in runs):
+        mine = [run for run in runs if (run["experiment"], _dwells(run)) == (number, dwells)]
+        mine.sort(key=lambda run: (run["seed"], run["run"]))
+        complete, failed = (tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), BROKEN))
         store.damage(run["run"] for run in mine)
         if complete and (row := store.whole_row(complete[0]["run"])):
             document = json.loads(row["document"])
-            name, title, dwells = mine[0]["scenario"], document["title"], mine[0]["dwells"]
+            name, title = mine[0]["scenario"], document["title"]
             alone = documents["n"] == 1 and document["radar"]["planner"]["rule"] not in TRUE_RULES
             found.append(Experiment(name, name, title, alone, row["document"], dwells, complete, failed))
     if not found:
-        chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
-        raise BadInput(f"no complete run with truth in this store{f', of {chosen}' if chosen else ''}")
+        of = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
+        last = chosen[-1] if chosen else None
+        why = f": run {last['run']} {_obstacle(last)}{_instead(store, last)}" if last is not None else ""
+        raise BadInput(f"no complete run with truth in this store{f', of {of}' if of else ''}{why}")
     return _labelled(_labelled(found, lambda e: f"{e.label}-{e.dwells}"), lambda e: f"{e.label}-{_short(e.document)}")
+
+
+def _dwells(run: Run) -> int:
+    """The number of dwells of a run; of one that a command has ended, those that it has."""
+    return int(run["t"] if run["dwells"] == NO_END else run["dwells"])
+
+
+def _obstacle(run: Run) -> str:
+    """Why a run is not reported on, as what is said of it; "": it is."""
+    if run["status"] in BROKEN:
+        return f"{run['status']} at dwell {run['t']}, {run['reason']}"
+    if run["status"] != "complete":
+        return "goes on" if run["status"] == "running" else f"is {run['status']}"
+    if not run["has_truth"]:
+        return "has no truth"
+    if not _dwells(run):
+        return "has no dwell of tracking"
+    return f"has lost its dwells before {run['oldest_t']}, which were cut" if run["oldest_t"] > 1 else ""
+
+
+def _instead(store: Store, run: Run) -> str:
+    """What shows a run that cannot be reported on."""
+    return f"; `cogradar query summary --run {run['run']} --store {store.journal.path}` has the dwells that are there"
 
 
 def _labelled(found: list[Experiment], longer: Callable[[Experiment], str]) -> list[Experiment]:

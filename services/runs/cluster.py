@@ -16,7 +16,17 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.address import is_server, without_password
 from cogradar.services.runs.cancel import cancelled_unless_over
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
-from cogradar.services.runs.run import Ask, Progress, Result, RunStopped, program, progress, result, so_far
+from cogradar.services.runs.run import (
+    Ask,
+    Progress,
+    Result,
+    RunInterrupted,
+    RunStopped,
+    program,
+    progress,
+    result,
+    so_far,
+)
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
@@ -28,6 +38,7 @@ CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
 ALIVE_WITHIN_S = 30.0  # for services that should be up already, or were started just now by hand
 ANSWER_WITHIN_S = 10.0
+LAST_ANSWER_S = 2.0  # for the results of a run that the user has interrupted: the prompt must come back soon
 METRICS = "metrics to know the run"
 QUIET_S = 5.0  # that processes may take to come up before anybody is told
 POLL_S = 0.25
@@ -69,7 +80,7 @@ def play(
         launcher.under_fire = True
         # A store that outlives the processes must not hold a run that seems to go on: the next process that opens it
         # would continue it.
-        kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
+        kept = _cancelled_and_told(session, bus, start) if store else nullcontext()
         if launcher.url is not None:
             notify(f"watch it: {launcher.url}/?run={start.run}")
         with kept:
@@ -83,6 +94,22 @@ def play(
                     launcher.check()
                     time.sleep(POLL_S)
         return done
+
+
+@contextmanager
+def _cancelled_and_told(session: Session, bus: ZenohBus, start: RunStart) -> Iterator[None]:
+    """Whatever ends this block before its run is over ends the run, too. An interrupt then has what it came to."""
+    began = time.monotonic()
+    try:
+        with cancelled_unless_over(session, bus, lambda: [start.run]):
+            yield
+    except Interrupted as error:
+        with suppress(NoAnswer):
+            if (
+                found := so_far(partial(_query, session, lambda: None, within_s=LAST_ANSWER_S), start, began)
+            ) is not None:
+                raise RunInterrupted(str(error), found) from None
+        raise
 
 
 @contextmanager
@@ -111,7 +138,7 @@ def play_on(
     check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check, notify) as (session, bus):
         wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
-        with cancelled_unless_over(session, bus, lambda: [start.run]):
+        with _cancelled_and_told(session, bus, start):
             return _play(endpoint, session, bus, start, check, report, notify)
 
 
@@ -207,8 +234,14 @@ def wait_until_alive(
         time.sleep(0.05)
 
 
-def _query(session: Session, check: Callable[[], None], metric: str, parameters: dict[str, str]) -> Rows:
-    rows: Rows = json.loads(ask(session, metric, parameters, ANSWER_WITHIN_S, check))
+def _query(
+    session: Session,
+    check: Callable[[], None],
+    metric: str,
+    parameters: dict[str, str],
+    within_s: float = ANSWER_WITHIN_S,
+) -> Rows:
+    rows: Rows = json.loads(ask(session, metric, parameters, within_s, check))
     return rows
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cogradar.services.delivery.pacing import pacing_at
-from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.errors import BadInput, Interrupted, RunFailed
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.limits import NO_END, UNLIMITED
@@ -46,6 +46,14 @@ class RunStopped(RunFailed):
 
     def __init__(self, reason: str, result: "Result | None" = None) -> None:
         super().__init__(reason)
+        self.result = result
+
+
+class RunInterrupted(Interrupted):
+    """A run that the user has ended, with what it came to until then."""
+
+    def __init__(self, text: str, result: "Result") -> None:
+        super().__init__(text)
         self.result = result
 
 

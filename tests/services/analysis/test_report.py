@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from cogradar.services.analysis.report import report
+from cogradar.services.analysis.report import ROWS, WINDOW, _windows, report
 from cogradar.services.analysis.report_tables import caption, heading, tables, verdict, write
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.store.tables import Recording
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Message, RunCancel
+from cogradar.shared.protocol.orders import EndRun, Order
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.analysis.conftest import (
     DWELLS,
@@ -29,7 +34,8 @@ from tests.services.analysis.conftest import (
     report_of,
     row_of,
 )
-from tests.services.loop import SMOKE
+from tests.services.loop import SMOKE, play, smoke_start
+from tests.services.stored import seal
 from tests.services.tables import assert_shown_whole, shown
 
 
@@ -148,6 +154,57 @@ def test_a_store_without_a_complete_run_cannot_be_reported_on(store: Store) -> N
         report_of(in_memory())
     with pytest.raises(BadInput, match=r"no complete run with truth in this store, of seed = 7$"):
         experiments(store, Selection(run="all", seed=7))
+
+
+def _recorded(*said: Message) -> Store:
+    made = in_memory()
+    core = RecorderCore(made.journal)
+    events: list[Event] = [*said, *3 * [Tick(0.0)]]
+    for event in events:
+        core.handle(event)
+    made.derive()
+    return made
+
+
+def _endless(k: int = 30) -> list[Message]:
+    """A run without an end, which a command ends with this dwell."""
+    return play(smoke_start(dwells=NO_END), orders=[Order(n=1, k=k, action=EndRun())])
+
+
+def test_a_run_without_an_end_that_a_command_has_ended_is_reported_on(tmp_path: Path) -> None:
+    made = _recorded(*_endless())
+    (row,) = made.read("SELECT status, acknowledged_t AS t FROM run")
+    assert (row["status"], row["t"] > 0) == ("complete", True)
+    found = report_of(made)
+    assert (found["dwells"], found["windows"][0]["last_dwell"], found["first"]) == (row["t"], row["t"], None)
+    (page := tmp_path / "page.md").write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
+    write(page, [found])
+    assert f"of {row['t']} dwells" in page.read_text()
+    assert "cogradar run" not in page.read_text()  # no number of dwells repeats it
+
+
+def test_a_run_that_is_not_reported_on_is_named_with_the_reason_and_what_shows_it() -> None:
+    said = _endless()
+    stopped = _recorded(*said[:-20], RunCancel(run="r"))
+    with pytest.raises(
+        BadInput, match=r"run r stopped at dwell \d+, by user; `cogradar query summary --run r --store "
+    ):
+        report_of(stopped)
+    cut = _recorded(*said)
+    (t,) = (row["t"] for row in cut.read("SELECT acknowledged_t AS t FROM run"))
+    cut.journal.write("UPDATE run SET kept_k = acknowledged_k - 2")
+    seal(cut.journal)
+    with pytest.raises(
+        BadInput, match=rf"run r has lost its dwells before {t - 1}, which were cut; `cogradar query su"
+    ):
+        report_of(cut)
+
+
+def test_a_long_run_has_no_more_rows_in_time_than_can_be_read() -> None:
+    assert len(_windows(2000)) == ROWS + 1
+    assert _windows(2000)[1] == (WINDOW + 1, 2 * WINDOW)
+    assert len(_windows(100_000)) == ROWS + 1
+    assert _windows(100_000)[-2:] == [(97_501, 100_000), (1, 100_000)]
 
 
 def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> None:

@@ -200,6 +200,9 @@ def test_what_to_type_next_can_be_pasted(finished: Result) -> None:
     assert "--store FILE" in next_step("cogradar", result, None, None)
     head, *typed = shlex.split(next_step("./cogradar", result, "a b.db", None))
     assert (head, typed) == ("next:", ["./cogradar", "figures", "a b.db", "--out", "figures"])
+    for other in ({"status": "stopped"}, {"t": result.run["t"] + 1}):  # figures need all dwells of a complete run
+        asked = shlex.split(next_step("./cogradar", replace(result, run=result.run | other), "a b.db", None))
+        assert asked[1:] == ["./cogradar", "query", "summary", "--run", "smoke-1", "--store", "a b.db"]
     blind = replace(result, picture={}, targets=[row | {"p_d": None} for row in result.targets])
     asked = shlex.split(next_step("./cogradar", blind, "a b.db", None))  # figures compare with the truth
     assert asked[1:] == ["./cogradar", "query", "tracks", "--run", "smoke-1", "--store", "a b.db"]

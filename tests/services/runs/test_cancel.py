@@ -139,12 +139,13 @@ def test_a_run_on_shared_services_ends_with_its_command(
         _until(lambda: any(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before))
         began = time.monotonic()
         run.send_signal(number)
-        _, errors = run.communicate(timeout=15)
+        table, errors = run.communicate(timeout=15)
         assert time.monotonic() - began < 6.0
     finally:
         run.kill()
         run.communicate()
     (name,) = set(_runs(endpoint)) - before
+    assert f"all {_runs(endpoint)[name]['t']}" in table  # as of a run that ends by itself
     assert (run.returncode, errors.strip()) == (code, f"interrupted; {name} is cancelled")
     row = _runs(endpoint)[name]
     assert (row["status"], row["reason"]) == ("stopped", "by user")
