@@ -302,7 +302,7 @@ class ProcessRow(Document):
     began_utc_s: float | None = Field(
         description="When it was started, by its own clock: another number, another start."
     )
-    dwells: float | None = Field(description="Dwells since then, of all runs; null for a role without dwells.")
+    starting: bool = Field(description="It owns tracks, and has sent no plan since it was started.")
     dwells_per_s: float | None
     dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
     dwell_p99_ms: float | None

@@ -5,10 +5,11 @@ import { Latest, ask } from "./api.js";
 import * as says from "./says.js";
 import { fixed } from "./text.js";
 
-const EVERY_MS = 1000;
-const ASK_MS = 3000;
-const SILENT_MS = 6000; // or so many dwells without one:
+const EVERY_MS = 500;
+const ASK_MS = 1500;
+const SILENT_MS = 2000; // in real time; or so many dwells without one:
 const SILENT_DWELLS = 5;
+const LOCKSTEP_MS = 6000; // ... where no rate says when the next one is due
 const LATELY = 20; // dwells over which shares are counted
 const ROLES_MS = 5000; // between two looks at the processes of a run that seems well
 const REFUSED_MS = 60_000; // ... if the service has no router that it could ask
@@ -19,9 +20,9 @@ const ALARMING = 0.05; // of plans that are late, of cells that are blind, of lo
 
 export class Alarms {
   constructor(session) {
-    Object.assign(this, { session, run: null, newest: 0, since: 0, found: null, ending: [], askAt: 0 });
+    Object.assign(this, { session, run: null, news: 0, since: 0, found: null, cause: null, ending: [], askAt: 0 });
     this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer, problem) => {
-      this.found = answer;
+      Object.assign(this, { found: answer, foundAt: performance.now() });
       this.ending = answer ? endingOf(answer.processes) : this.ending;
       if (problem) this.askAt = performance.now() + REFUSED_MS;
     });
@@ -32,31 +33,58 @@ export class Alarms {
     const { session } = this;
     const { player, radar, dwells, row } = session;
     const now = performance.now();
-    if (session.run !== this.run || player.newest !== this.newest || !player.isRunning || document.hidden) {
-      Object.assign(this, { run: session.run, newest: player.newest, since: now });
+    if (session.run !== this.run || session.news !== this.news || !player.isRunning || document.hidden) {
+      Object.assign(this, { run: session.run, news: session.news, since: now });
     }
     if (!row || !player.isRunning || player.mode !== "live") {
       says.notice("alarm", null);
-      this.found = null;
+      Object.assign(this, { found: null, cause: null });
+      session.silent(false);
       return;
     }
     const [late, ...found] = lately(dwells.before(player.newest, LATELY));
     const silent = now - this.since;
-    const isSilent = silent > Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / (radar.rate_hz || Infinity));
+    const isSilent = silent > (radar.rate_hz ? Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / radar.rate_hz) : LOCKSTEP_MS);
+    session.silent(isSilent);
     if (late || isSilent || now >= this.askAt) {
       this.askAt = now + ROLES_MS;
       this.latest.want();
     }
+    if (late || isSilent) this.wrong ??= now;
+    else this.wrong = null;
     const missing = missingOf(this.found);
-    if (late) found.unshift(late + (missing.length ? "" : whyLate(this.found, radar.rate_hz)));
+    if (late) found.unshift(late + (missing.length ? "" : this.whyLate(radar.rate_hz, now)));
     if (isSilent) {
-      const why = [...fullOf(this.found), ...missing.map((role) => `no ${role}`)].join(", ");
+      this.cause = { until: now, text: "the run stood still" };
+      const why = [...fullOf(this.found), ...missing.map((role) => `no ${role}`), ...awayOf(this.found).map((name) => `${name} does not answer`)].join(", ");
       found.unshift(`No new dwell for ${fixed(silent / 1000, 0)} s${why && `: ${why}`}`);
     } else {
       found.unshift(...missing.map((role) => `No ${role}${WITHOUT[role] ?? ""}`));
     }
     found.push(...this.ending);
     says.notice("alarm", found.length ? `${found.join("; ")}.` : null);
+  }
+
+  // Why plans are late: a planner is away or was until a moment ago, or the run stood still; else whether the front end
+  // takes too much of a dwell, by the longest of its times in 100 dwells.
+  whyLate(rate, now) {
+    if (!this.found || this.foundAt < this.wrong) return ""; // an answer from before says nothing of it
+    const { processes, utc_s: at } = this.found;
+    const planners = processes.filter((one) => one.role === "planner");
+    const [away] = awayOf({ processes: planners });
+    if (away) {
+      this.cause = { until: now, text: `${away} did not answer` };
+      return `: ${away} does not answer`;
+    }
+    const age = (one) => Math.max(at - one.began_utc_s, 0);
+    const young = planners.find((one) => one.began_utc_s !== null && (one.starting || age(one) < START_S + LATELY / rate));
+    if (young) return `: ${young.name} was started ${fixed(age(young), 0)} s ago`;
+    if (this.cause && now - this.cause.until < ASK_MS + (1000 * LATELY) / rate) return `: ${this.cause.text} until a moment ago`;
+    const frontEnd = processes.find((one) => one.front_end_p99_ms !== null)?.front_end_p99_ms ?? null;
+    if (frontEnd === null) return "";
+    const dwell = 1000 / rate;
+    const took = `the front end takes up to ${fixed(frontEnd, 0)} ms of a dwell of ${fixed(dwell, 0)} ms`;
+    return frontEnd > SLOW * dwell ? `, for ${took}` : `: the planners are slow (${took})`;
   }
 }
 
@@ -67,6 +95,7 @@ const WITHOUT = { // what comes of it that a role has no process
   recorder: ": no dwell is recorded",
 };
 const missingOf = (answer) => answer?.processes.filter((one) => !one.alive && !one.name).map((one) => one.role) ?? [];
+const awayOf = (answer) => answer?.processes.filter((one) => one.name && !one.answers).map((one) => one.name) ?? [];
 const fullOf = (answer) => answer?.processes.filter((one) => one.full).map((one) => `${one.name} cannot write: its disk is full, or its store is gone or away`) ?? [];
 
 // Whose certificate is about to end; of several only how many, and the first.
@@ -77,23 +106,6 @@ function endingOf(processes) {
   const more = others.length ? ` and ${others.length} more` : "";
   const when = first.certificate_days > 0 ? `ends in ${fixed(first.certificate_days, 0)} days` : "has ended";
   return [`The certificate of ${first.name}${more} ${when}`];
-}
-
-// Why plans are late: a planner is away or was until a moment ago; else whether the front end takes too much of a dwell,
-// by the longest of its times in 100 dwells.
-function whyLate(answer, rate) {
-  if (!answer) return "";
-  const planners = answer.processes.filter((one) => one.role === "planner");
-  const silent = planners.find((one) => !one.answers);
-  if (silent) return `: ${silent.name} does not answer`;
-  const since = (one) => answer.utc_s - one.began_utc_s;
-  const young = planners.find((one) => one.began_utc_s !== null && (one.dwells === 0 || since(one) < START_S + LATELY / rate));
-  if (young) return `: ${young.name} was started ${fixed(Math.max(since(young), 0), 0)} s ago`;
-  const frontEnd = answer.processes.find((one) => one.front_end_p99_ms !== null)?.front_end_p99_ms ?? null;
-  if (frontEnd === null) return "";
-  const dwell = 1000 / rate;
-  const took = `the front end takes up to ${fixed(frontEnd, 0)} ms of a dwell of ${fixed(dwell, 0)} ms`;
-  return frontEnd > SLOW * dwell ? `, for ${took}` : `: the planners are slow (${took})`;
 }
 
 // What is wrong in these dwells: shares of plans, or nothing, of cells and of looks.

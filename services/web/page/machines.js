@@ -26,7 +26,7 @@ const COLUMNS = [
 function stateOf(process) {
   if (!process.alive) return process.name ? "○ gone" : "○ not running";
   if (!process.answers) return "● up, too busy to answer";
-  if (process.isStarting) return "● starting";
+  if (process.starting) return "● starting";
   return process.full ? "● cannot write, runs held" : "● up";
 }
 const keyOf = (process) => `${process.role}/${process.name}`; // of a role without a process: without a name
@@ -66,8 +66,6 @@ export class Machines {
       return;
     }
     const now = performance.now();
-    const isRun = Object.keys(answer.owners).length > 0; // of all runs a planner hears
-    for (const one of answer.processes) one.isStarting = isRun && one.role === "planner" && one.dwells === 0;
     this.note(answer.processes, now);
     const all = [...this.seen.values()].map((one) => one.process);
     const up = all.filter((one) => one.alive).length;
@@ -133,10 +131,10 @@ export class Machines {
       this.owner.set(track, name);
     }
     const planners = all.filter((one) => one.role === "planner" && one.name);
-    node.replaceChildren(...planners.map(({ name, alive, isStarting }) => {
+    node.replaceChildren(...planners.map(({ name, alive, starting }) => {
       const box = make("div", alive ? "owner" : "owner gone");
       box.dataset.planner = name;
-      box.append(make("h3", "", alive ? `${name}${isStarting ? ": starting" : ""}` : `${name}: gone`));
+      box.append(make("h3", "", alive ? `${name}${starting ? ": starting" : ""}` : `${name}: gone`));
       const list = make("ul");
       for (const [track, owner] of owned) {
         if (owner !== name) continue;

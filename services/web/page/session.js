@@ -66,9 +66,21 @@ export class Session {
     this.feed?.close();
     this.dwells?.close();
     clearTimeout(this.timer);
-    Object.assign(this, { feed: null, row: null, isUp: undefined, isDown: false, filled: 0 });
+    Object.assign(this, { feed: null, row: null, isUp: undefined, isDown: false, isSilent: false, filled: 0, scans: 0 });
     says.notice("dwell", null);
     this.player.reset(0, 1);
+  }
+
+  // Grows with each dwell, and before the first one with each scan of the search.
+  get news() {
+    return this.player.newest + this.scans;
+  }
+
+  // Whether a dwell is overdue of a run that is watched live.
+  silent(isSilent) {
+    if (isSilent === this.isSilent) return;
+    this.isSilent = isSilent;
+    this.turned();
   }
 
   // A hidden page needs no stream: a browser has six connections to a service, for all of its pages.
@@ -132,6 +144,7 @@ export class Session {
         this.timeline.refresh();
       },
       acquisition: (scan) => {
+        this.scans = scan.scans;
         const found = scan.tracks.filter((track) => track.status === "tracking").length;
         const nearest = scan.strongest ? `; ${scan.strongest}` : "";
         const isBlank = scan.cells && !scan.cells.bin.length;
@@ -282,7 +295,8 @@ export class Session {
     const { status } = this.row;
     // A dwell that was asked for shows nothing of the stream: it is live once the stream has opened.
     if (status === "running" && !this.isUp) says.badge("waiting", "Connecting");
-    else if (status === "running") says.badge(player.mode === "live" ? "live" : "behind", player.mode === "live" ? "Live" : "Live, looking back");
+    else if (status === "running" && player.mode !== "live") says.badge("behind", "Live, looking back");
+    else if (status === "running") says.badge(this.isSilent ? "overdue" : "live", this.isSilent ? "Live, no new dwell" : "Live");
     else says.badge(status, capital(resultOf(this.row)));
     if (player.mode === "paused" && this.picture.dwell) this.picture.show(this.picture.dwell, null, true);
   }

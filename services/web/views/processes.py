@@ -30,7 +30,7 @@ GONE_S = 60.0  # without a token or an answer, also where no router answers that
 MAX_RUNS = 20  # whose owners are told
 _DWELLS = {  # what a role's dwells are counted by: a sample, and its topic
     Role.EMULATOR: ("cogradar_dwell_seconds_count", ""),
-    Role.PLANNER: ("cogradar_handling_seconds_count", "scan"),  # that it has computed, not only received
+    Role.PLANNER: ("cogradar_messages_received_total", "scan"),
     Role.ALLOCATOR: ("cogradar_messages_sent_total", "waveform"),
     Role.RECORDER: ("cogradar_dwells_total", ""),
 }
@@ -44,6 +44,7 @@ _TOTALS = {  # of an answer, and the sample that is summed over all topics
     "cpu_seconds": "process_cpu_seconds_total",
     "rss_bytes": "process_resident_memory_bytes",
 }
+_PLANS = ("cogradar_messages_sent_total", "plan", "")
 _BEGAN = ("process_start_time_seconds", "", "")
 
 
@@ -86,7 +87,13 @@ class Machines:
         before = self._readings[0] if self._readings and self._readings[0].at_s > now.at_s - 2 * WINDOW_S else None
         self._readings.append(now)
         live = self._there(gathered, now.at_s)
-        rows = [_row(process, now, before) for process in now.counts]
+        found = self._owners(tuple(sorted(name for role, name in live if role == Role.PLANNER)))
+        busy = {name for tracks in found.values() for name in tracks.values()}
+        rows = [
+            _row((role, name), now, before)
+            | {"starting": role == Role.PLANNER and name in busy and not counted.get(_PLANS)}
+            for (role, name), counted in now.counts.items()
+        ]
         rows += [_without_numbers(process) for process in live - now.counts.keys()]
         missing = {role for role, name in gathered.silent if not name} - {role for role, _ in live}
         rows += [_without_numbers((role, "")) for role in missing]
@@ -94,7 +101,7 @@ class Machines:
             "utc_s": time.time(),
             "window_s": None if before is None else now.at_s - before.at_s,
             "processes": sorted(rows, key=lambda row: (list(Role).index(row["role"]), row["name"])),
-            "owners": self._owners(tuple(sorted(name for role, name in live if role == Role.PLANNER))),
+            "owners": found,
         }
         return to_json(document, inf_nan_mode="null")
 
@@ -142,7 +149,11 @@ def _owners(run: str, n_track: int, names: tuple[str, ...]) -> list[str]:
 def _without_numbers(process: Process) -> dict[str, Any]:
     """Of a process that did not answer, or of a role without one."""
     _, name = process
-    return _row(process, _Reading(0.0, {process: {}}), None) | {"alive": bool(name), "answers": False}
+    return _row(process, _Reading(0.0, {process: {}}), None) | {
+        "alive": bool(name),
+        "answers": False,
+        "starting": False,
+    }
 
 
 def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, Any]:
@@ -161,7 +172,6 @@ def _row(process: Process, now: _Reading, before: _Reading | None) -> dict[str, 
         "alive": True,
         "answers": True,
         "began_utc_s": counted.get(_BEGAN),
-        "dwells": counted.get((sample, topic, ""), 0.0) if sample and counted else None,
         "dwells_per_s": None if n_dwell is None or before is None else n_dwell / (now.at_s - before.at_s),
         **_percentiles("dwell", recent, "cogradar_dwell_seconds", "", (0.5, 0.99)),
         "handling_of": busiest,

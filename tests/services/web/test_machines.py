@@ -40,7 +40,11 @@ class _Process:
         self.scans, self.handled = 0, Durations()
 
     def measures(self) -> Measures:
-        return {"messages_received": {"scan": self.scans}, "handling_seconds": {"scan": self.handled}}
+        return {
+            "messages_received": {"scan": self.scans},
+            "messages_sent": {"plan": self.scans},
+            "handling_seconds": {"scan": self.handled},
+        }
 
     def work(self, scans: int, seconds: float) -> None:
         self.scans += scans
@@ -61,6 +65,8 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
         lambda: Gathered({process: read(Exposition(one.measures).text()) for process, one in alive.items()}, set()),
     )
     machines = Machines(core)
+    new = json.loads(Machines(core)._read())
+    assert {row["name"] for row in new["processes"] if row["starting"]} == set(new["owners"]["begun"].values())
     planner.work(500, 2.0)
     first = json.loads(machines._read())
     assert (first["window_s"], first["processes"][1]["dwells_per_s"]) == (None, None)
@@ -73,7 +79,7 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     (router_row, a, b) = found["processes"]
     assert (a["dwells_per_s"], a["handling_of"]) == (pytest.approx(10.0), "scan")
     assert 2.0 <= a["handling_p50_ms"] <= a["handling_p99_ms"] <= 5.0
-    assert (a["dwells"], b["dwells"], router_row["dwells"]) == (700.0, 0.0, None)
+    assert [row["starting"] for row in (router_row, a, b)] == [False, False, "b" in found["owners"]["begun"].values()]
     assert a["began_utc_s"] is not None
     assert found["utc_s"] == now[0]
     assert (b["dwells_per_s"], b["handling_p50_ms"], b["late"]) == (0.0, None, None)

@@ -12,6 +12,7 @@ from cogradar.services.web import events
 from tests.services.web.page.conftest import BEGUN, Open, Watched, inked, until, wait_for_dwell
 
 pytestmark = pytest.mark.browser
+LIVE = re.compile("^Live(, no new dwell)?$")  # the runs here stand still
 
 
 def _asked(page: Page, what: str) -> list[str]:
@@ -54,18 +55,18 @@ def test_silence_ends_a_stream_and_a_ping_is_none(quiet: str, show: Open, monkey
     page.clock.install()
     streams = _asked(page, "/events")
     page.goto(f"{quiet}/?run=begun")
-    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#connection")).to_have_text(LIVE)
     for _ in range(4):
         page.clock.run_for(8000)
         page.wait_for_timeout(1000)  # for a ping, which the page must read meanwhile
-    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#connection")).to_have_text(LIVE)
     assert len(streams) == 1
     monkeypatch.setattr(events, "PING_S", 1000.0)
     page.wait_for_timeout(500)
     page.clock.run_for(10_100)
     expect(page.locator("#connection")).to_have_text("Reconnecting")
     page.clock.run_for(2000)
-    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#connection")).to_have_text(LIVE)
     assert len(streams) == 2
 
 
@@ -83,7 +84,7 @@ def test_a_stream_that_does_not_open_is_not_live(quiet: str, show: Open, watched
     expect(page.locator("#notice")).to_contain_text("goes on by itself")
     page.unroute_all()
     page.clock.run_for(2000)
-    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#connection")).to_have_text(LIVE)
     expect(page.locator("#notice")).not_to_contain_text("goes on by itself")
     assert len(streams) == 2
 
@@ -101,7 +102,7 @@ def test_a_hidden_page_has_no_stream(quiet: str, show: Open) -> None:
         page.wait_for_timeout(500)
         assert len(streams) == (0 if is_hidden == "true" else 1)
         assert any(url.endswith("/events") for url in ended)
-        expect(page.locator("#connection")).to_have_text("Connecting" if is_hidden == "true" else "Live")
+        expect(page.locator("#connection")).to_have_text("Connecting" if is_hidden == "true" else LIVE)
 
 
 def test_a_role_that_nobody_plays_has_a_row_of_its_own(quiet: str, show: Open) -> None:
@@ -150,7 +151,8 @@ def test_false_alarms_and_particles_are_drawn(quiet: str, show: Open) -> None:
 def test_a_run_that_stands_still_says_who_is_missing(quiet: str, show: Open) -> None:
     page = show(f"{quiet}/?run=begun")
     expect(page.locator("#dwell")).to_have_text(str(BEGUN - 1))
-    expect(page.locator("#notice")).to_be_hidden()
+    missing = "No planner: tracks are not updated; No allocator: waveforms are not updated."
+    expect(page.locator("#notice")).to_have_text(missing)
     expect(page.locator("#notice")).to_have_text(re.compile(r"^No new dwell for \d+ s: no planner, no allocator\.$"))
     page.keyboard.press("ArrowLeft")  # who looks back is not alarmed
     expect(page.locator("#notice")).to_be_hidden()
@@ -158,7 +160,7 @@ def test_a_run_that_stands_still_says_who_is_missing(quiet: str, show: Open) -> 
 
 def test_a_role_without_a_process_is_said_before_anything_else_is_wrong(quiet: str, show: Open) -> None:
     nobody = _planner("", alive=False, answers=False, began_utc_s=None) | {"role": "allocator"}
-    page = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[_planner(), nobody]))
+    page = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[_planner(), nobody], rate_hz=0.2))
     expect(page.locator("#notice")).to_have_text("No allocator: waveforms are not updated.")
 
 
@@ -174,11 +176,11 @@ def test_a_planner_that_is_restarted_between_two_looks_is_listed_and_starting(qu
     page = show(f"{quiet}/?view=machines&run=begun", before=lambda page: page.route("**/processes", answered))
     row, owner = page.locator("#processes tbody tr"), page.locator(".owner h3")
     expect(row).to_contain_text("● up")
-    for rows[0] in (_planner(answers=False, began_utc_s=None), _planner(began_utc_s=1995.0, dwells=0.0)):
+    for rows[0] in (_planner(answers=False, began_utc_s=None), _planner(began_utc_s=1995.0, starting=True)):
         expect(row).to_contain_text("starting" if rows[0]["answers"] else "too busy")
     expect(owner).to_have_text("planner-0: starting")
     expect(page.locator("#moves li")).to_have_text(re.compile("planner-0 was restarted$"))
-    rows[0] = _planner(began_utc_s=1995.0, dwells=1.0)
+    rows[0] = _planner(began_utc_s=1995.0)
     expect(row).to_contain_text("● up")
     expect(owner).to_have_text("planner-0")
     expect(page.locator("#moves li")).to_have_count(1)
@@ -186,25 +188,38 @@ def test_a_planner_that_is_restarted_between_two_looks_is_listed_and_starting(qu
 
 def _planner(name: str = "planner-0", **more: object) -> dict[str, object]:
     """A row of a planner that has been up for long."""
-    usual = {"alive": True, "answers": True, "began_utc_s": 1000.0, "dwells": 9000.0}
+    usual = {"alive": True, "answers": True, "began_utc_s": 1000.0, "starting": False}
     return {"role": "planner", "name": name, "front_end_p99_ms": None} | usual | more
 
 
 def _with_processes(
-    page: Page, processes: list[dict[str, object]], change: Callable[[Route], None] = lambda route: route.continue_()
+    page: Page,
+    processes: list[dict[str, object]],
+    change: Callable[[Route], None] = lambda route: route.continue_(),
+    rate_hz: float = 5.0,
 ) -> None:
-    """A run of five dwells a second on these processes, five seconds ago."""
+    """A run on these processes, of five dwells a second, or of another rate where none is to be due."""
 
     def answered(route: Route) -> None:
         answer = route.fetch()
         document = answer.json()
-        document.update({"rate_hz": 5.0} if "rate_hz" in document else {})
+        document.update({"rate_hz": rate_hz} if "rate_hz" in document else {})
         document.update({"processes": processes, "utc_s": 2000.0} if "processes" in document else {})
         route.fulfill(response=answer, json=document)
 
     page.route("**/dwells?*", change)
     page.route("**/radar", answered)
     page.route("**/processes", answered)
+
+
+def test_dwells_that_are_due_and_do_not_come_are_said_within_seconds(quiet: str, show: Open) -> None:
+    """Five dwells a second: there is none for two seconds."""
+    frozen = _planner("emulator-0", answers=False, began_utc_s=None) | {"role": "emulator"}
+    page = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[frozen, _planner()]))
+    expect(page.locator("#notice")).to_have_text(re.compile("^No new dwell for [2-5] s: emulator-0 does not answer.$"))
+    expect(page.locator("#connection")).to_have_text("Live, no new dwell")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#connection")).to_have_text("Live, looking back")
 
 
 def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
@@ -224,22 +239,24 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
     )
     expect(page.locator("#legend")).to_contain_text("blind cell")
     expect(page.locator("#legend")).to_contain_text("cell not measured")
-    emulator = _planner("emulator-0") | {"role": "emulator", "front_end_p99_ms": 154.0}
+    emulator = _planner("emulator-0") | {"role": "emulator", "front_end_p99_ms": 3854.0}
     late = "% of the plans are late"
     for rows, why in (
-        ([emulator, _planner()], f"{late}, for the front end takes up to 154 ms of a dwell of 200 ms; "),
+        ([emulator, _planner()], f"{late}, for the front end takes up to 3854 ms of a dwell of 5000 ms; "),
         (
             [emulator | {"front_end_p99_ms": 8.0}, _planner()],
-            f"{late}: the planners are slow (the front end takes up to 8 ms of a dwell of 200 ms); ",
+            f"{late}: the planners are slow (the front end takes up to 8 ms of a dwell of 5000 ms); ",
         ),
         ([emulator, _planner(answers=False, began_utc_s=None)], f"{late}: planner-0 does not answer; "),
         ([emulator, _planner(), _planner("planner-1", began_utc_s=1995.0)], f"{late}: planner-1 was started 5 s ago; "),
-        ([emulator, _planner(dwells=0.0)], f"{late}: planner-0 was started 1000 s ago; "),
+        ([emulator, _planner(starting=True)], f"{late}: planner-0 was started 1000 s ago; "),
     ):
-        told = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=rows, change=change))
+        told = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=rows, change=change, rate_hz=0.2))
         expect(told.locator("#notice")).to_contain_text(why)
     nobody = _planner("", alive=False, answers=False, began_utc_s=None)
-    told = show(f"{quiet}/?run=begun", before=partial(_with_processes, processes=[emulator, nobody], change=change))
+    told = show(
+        f"{quiet}/?run=begun", before=partial(_with_processes, processes=[emulator, nobody], change=change, rate_hz=0.2)
+    )
     expect(told.locator("#notice")).to_have_text(
         re.compile(r"^No planner: tracks are not updated; \d+ % of the plans are late; 10 %")
     )
