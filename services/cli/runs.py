@@ -321,4 +321,5 @@ def command_run(
     if as_json:
         print_json(row)
     else:
-        out.print(f"{run}: {row['action']} from dwell {row['k']} on", soft_wrap=True)
+        later = f", the first that can still obey: dwell {at} is too soon" if 0 < at < row["k"] else ""
+        out.print(f"{run}: {row['action']} from dwell {row['k']} on{later}", soft_wrap=True)

@@ -165,6 +165,8 @@ class RecordedRun:
     def grant(self, command: Command, n: int) -> tuple[Order, list[Order]]:
         """The order that a command becomes, and those that it replaces. Raises Refused."""
         newest = max((k for k, dwell in self._dwells.items() if dwell.t is not None), default=None)
+        if 0 < command.at <= (last_scan := self.k - 1 if newest is None else newest):
+            raise Refused(f"dwell {command.at} has passed: the newest one is {last_scan}")
         tracks = self._dwells[newest].tracks if newest is not None else self.tracks or frozenset()
         left = (
             self.start.dwells

@@ -110,13 +110,27 @@ def test_a_command_becomes_an_order_from_the_first_dwell_that_no_process_can_hav
 
 def test_in_real_time_it_takes_effect_half_a_second_after_the_newest_dwell(smoke: list[Message]) -> None:
     start = smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
-    _, core = _begun(start)
+    journal, core = _begun(start)
     for message in smoke:
         if isinstance(message, Scan) and message.k < 5:
             core.handle(message)
     far = next(message for message in smoke if isinstance(message, Waveform)).model_copy(update={"k": 300})
     core.handle(far)  # a fault of its sender: no reason to wait
     assert _orders(core.handle(_command(1, HALF)))[0].k == 4 + 1 + 5
+    core.handle(_command(2, Pause(), at=4))
+    assert _rows(journal, "reason")[1] == ("dwell 4 has passed: the newest one is 4",)
+    assert _orders(core.handle(_command(3, Pause(), at=5)))[1].k == 4 + 1 + 5  # to come, though nothing can shape it
+
+
+def test_in_lockstep_too_a_dwell_that_has_passed_is_refused(smoke: list[Message]) -> None:
+    journal, core = _begun(smoke_start(dwells=DWELLS))
+    for message in smoke:
+        if isinstance(message, Scan | Plan | Truth | Waveform) and message.k < 5:
+            core.handle(message)
+    for n, at in enumerate((1, 4, 5, 0), 1):
+        core.handle(_command(n, HALF, at))
+    passed = [f"dwell {at} has passed: the newest one is 4" for at in (1, 4)]
+    assert [reason for (reason,) in _rows(journal, "reason")] == [*passed, "", ""]
 
 
 def test_in_real_time_a_command_acts_in_the_next_dwell_of_an_acquisition(smoke: list[Message]) -> None:

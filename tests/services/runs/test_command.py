@@ -20,11 +20,13 @@ from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.client import open_store
 from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs import command as commanding
 from cogradar.services.runs.command import command_on
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.web.address import COMMAND_VARIABLE
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
+from tests.services.cli.here import here
 from tests.skies import small_sky
 
 TOWERS = "c0mmander-of-the-tower"
@@ -58,6 +60,17 @@ def _command(run: str, action: str, endpoint: str) -> subprocess.CompletedProces
 def test_what_is_no_name_of_a_run_is_said(run: str) -> None:
     with pytest.raises(BadInput, match=f"run = {run!r}: "):
         command_on("tcp/127.0.0.1:1", run, ["end"])
+
+
+@pytest.mark.parametrize(
+    ("at", "told"),
+    [("861", ", the first that can still obey: dwell 861 is too soon\n"), ("863", "\n"), ("0", "\n")],
+)
+def test_a_command_that_comes_later_than_it_was_asked_for_says_so(
+    at: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commanding, "command_on", lambda *_: {"action": "pause", "k": 863})
+    assert here("command", "r", "pause", "--at", at).stdout == f"r: pause from dwell 863 on{told}"
 
 
 @pytest.mark.zenoh
