@@ -32,7 +32,7 @@ from cogradar.services.web.run_answers import SCORED, core_of, run, runs, scored
 from cogradar.services.web.shared import VIEW_S, Shared, once
 from cogradar.services.web.static import file, page
 from cogradar.services.web.views.beampattern import beampattern
-from cogradar.services.web.views.commands import commands
+from cogradar.services.web.views.commands import commander, commands
 from cogradar.services.web.views.course import Courses, course
 from cogradar.services.web.views.dwells import Encoded, dwells
 from cogradar.services.web.views.particles import Beliefs, particles
@@ -89,6 +89,7 @@ ROUTES = (
     Route("/metrics", metrics),
     Route(f"{API}/openapi.json", openapi),
     Route(f"{API}/processes", processes),
+    Route(f"{API}/commander", commander),
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
     *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, radar, timeline)),

@@ -35,6 +35,7 @@ _AT_THE_DOOR = {  # of every question, before anybody looks what it asks
     "421": "This host is not served.",
     "429": "Too many requests from this address.",
 }
+_NO_COMMANDER = "Commands are disabled, the token is no commander's, or the script of another page asks."
 _MISSING = {"404": "There is no such run, target, track or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
@@ -63,6 +64,11 @@ def describe() -> dict[str, Any]:
         "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
         "/api/v1/processes": _get(Processes.__doc__ or "", _json("Processes"), faults={"503": "There is no router."}),
+        "/api/v1/commander": _get(
+            "The name that a commander's token commands with.",
+            _json("Commander"),
+            faults={"400": _FAULTS["400"], "403": _NO_COMMANDER},
+        ),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
         f"{runs}/{{run}}/events": _events(),
@@ -102,7 +108,7 @@ def _get(
     known = _FAULTS | (_MISSING if run else {}) if faults is None else faults
     responses: dict[str, Any] = {"200": {"description": text, "content": content}}
     responses |= _UNCHANGED if tagged else {}
-    responses |= {status: _problem(what) for status, what in (known | _AT_THE_DOOR).items()}
+    responses |= {status: _problem(what) for status, what in (_AT_THE_DOOR | known).items()}
     return {"get": {"summary": text, "parameters": found, "responses": responses}}
 
 
@@ -118,7 +124,7 @@ def _command() -> dict[str, Any]:
     text = "Command a run that goes on, with the token of a commander: its row of `commands`, once it is granted."
     faults = {
         "400": "The body is not what it must be.",
-        "403": "Commands are disabled, the token is no commander's, or the script of another page asks.",
+        "403": _NO_COMMANDER,
         "404": "There is no such run.",
         "409": "The run has ended, or the recorder refuses; `detail` says why.",
         "413": "The body is too long.",

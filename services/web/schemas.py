@@ -287,6 +287,12 @@ class CommandDocument(Document):
     at: int = Field(default=0, ge=0, lt=2**31, description="Not before this dwell, counted from 0.")
 
 
+class Commander(Document):
+    """A client that may command."""
+
+    name: str
+
+
 class ProcessRow(Document):
     """A process.
 
@@ -361,4 +367,12 @@ PAGES: dict[str, type[BaseModel]] = {
     "summary": SummaryRow,
     "picture": PictureRow,
 }
-DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, CommandDocument, Processes, Status, ProblemDocument)
+DOCUMENTS: tuple[type[BaseModel], ...] = (
+    *PAGES.values(),
+    *VIEWS,
+    CommandDocument,
+    Commander,
+    Processes,
+    Status,
+    ProblemDocument,
+)

@@ -20,8 +20,13 @@ export const ask = (path, signal = null) => request(path, {}, signal);
 
 // Sends a document, in the name of the owner of a token.
 export const post = (path, document, token) => request(path, {
-  method: "POST", body: JSON.stringify(document), headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+  method: "POST", body: JSON.stringify(document), headers: { "Content-Type": "application/json", ...shown(token) },
 });
+
+// The name that a token commands with.
+export const commanderOf = (token) => request("/commander", { headers: shown(token) });
+
+const shown = (token) => ({ Authorization: `Bearer ${token}` });
 
 async function request(path, { headers = {}, ...more }, signal = null) {
   const late = AbortSignal.timeout(ANSWER_MS);

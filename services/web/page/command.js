@@ -1,7 +1,7 @@
 // Commands to the run that is shown: buttons, a line of words as `cogradar command` takes them, the pointer on the scope.
 // All of it becomes words, which are sent in one way.
 
-import { Problem, ask, post, runPath } from "./api.js";
+import { Problem, ask, commanderOf, post, runPath } from "./api.js";
 import { byId, put } from "./text.js";
 import { view } from "./view.js";
 
@@ -9,19 +9,16 @@ const KEPT_AS = "commander"; // until the tab is closed
 const FORGET = [401, 403]; // answers to a token that is none
 
 export class Command {
-  // `turned()` is called when the scope has something else to show: `asked` is the sector that is written down.
-  constructor(turned) {
-    Object.assign(this, { panel: byId("command"), mode: null, asked: null, isBusy: false, isDragging: false, turned });
+  // `turned()` is called when the scope has something else to show: `asked` is the sector that is written down. `isOver()`
+  // says whether the run that is shown has ended.
+  constructor(turned, isOver) {
+    Object.assign(this, { isOver, panel: byId("command"), mode: null, asked: null, isBusy: false, isDragging: false, turned });
     this.words = byId("command-words");
     byId("command-open").addEventListener("click", () => this.toggle());
     this.panel.addEventListener("keydown", (event) => this.key(event));
     byId("token-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      sessionStorage.setItem(KEPT_AS, byId("token").value.trim());
-      byId("token").value = "";
-      this.say("", "");
-      this.draw();
-      this.words.focus();
+      this.enter(byId("token").value.trim());
     });
     byId("token-forget").addEventListener("click", () => this.forget());
     byId("command-form").addEventListener("submit", (event) => {
@@ -61,13 +58,35 @@ export class Command {
     byId("command-open").setAttribute("aria-expanded", String(isOpen));
     this.turn(null);
     this.draw();
-    if (isOpen) (this.token ? this.words : byId("token")).focus();
+    if (isOpen && !this.isOver()) (this.token ? this.words : byId("token")).focus();
     else byId("command-open").focus();
   }
 
+  // A token opens the panel once the service has said whose it is.
+  async enter(token) {
+    this.say("", "The token is checked …");
+    try {
+      const { name } = await commanderOf(token);
+      sessionStorage.setItem(KEPT_AS, token);
+      byId("token").value = "";
+      this.say("good", `You command as ${name}.`);
+      this.draw();
+      this.words.focus();
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      this.say("bad", `${error.message}.`);
+      byId("token").select();
+    }
+  }
+
   draw() {
-    byId("token-form").hidden = Boolean(this.token);
-    byId("command-acts").hidden = !this.token;
+    const isOver = this.isOver();
+    const held = this.panel.contains(document.activeElement);
+    byId("command-over").hidden = !isOver;
+    byId("token-form").hidden = Boolean(this.token) || isOver;
+    byId("command-acts").hidden = !this.token || isOver;
+    if (isOver && this.mode) this.turn(null);
+    if (isOver && held) byId("command-open").focus();
     put(byId("command-title"), view.run === null ? "Command" : `Command ${view.run}`);
     const drop = byId("drop");
     drop.disabled = view.target === null;
@@ -104,7 +123,7 @@ export class Command {
   // A key that needs the panel opens it.
   aim(mode) {
     if (this.panel.hidden) this.toggle(true);
-    if (this.token) this.turn(mode);
+    if (this.token && !this.isOver()) this.turn(mode);
   }
 
   key(event) {
@@ -171,6 +190,7 @@ export class Command {
       const row = await post(`${runPath(run)}/commands`, { action: words }, this.token);
       const from = row.t === null ? `scan ${row.k}` : `dwell ${row.t}`;
       this.say("good", `${row.action}: granted from ${from} on.`);
+      if (this.words.value.trim() === words) this.words.value = ""; // it would be sent twice
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
       this.say("bad", `${words}: ${error.message}.`);

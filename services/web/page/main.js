@@ -20,9 +20,9 @@ const LOOK_MS = 3000; // for runs that begin
 
 const charts = new Charts((t) => session.player.seek(t));
 const orders = new Orders(() => radar.redraw());
-const command = new Command(() => radar.redraw());
+const command = new Command(() => radar.redraw(), () => Boolean(session.row) && !session.player.isRunning);
 const radar = new Radar(charts, orders, command);
-const session = new Session(radar);
+const session = new Session(radar, () => command.draw());
 const machines = new Machines();
 new Alarms(session);
 const compare = new Compare((t) => session.player.seek(t), () => runs.rows);

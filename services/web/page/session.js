@@ -16,8 +16,9 @@ const MANY_TRACKS = 100; // at a time, if their number is unknown
 const FILL_MS = 1000; // how often what a live stream leaves out is asked for
 
 export class Session {
-  constructor(radar) {
-    Object.assign(this, { picture: radar, run: null, row: null, radar: null, dwells: null, feed: null, turn: 0 });
+  // `turned()` is called when the run, or how it is watched, has changed.
+  constructor(radar, turned) {
+    Object.assign(this, { told: turned, picture: radar, run: null, row: null, radar: null, dwells: null, feed: null, turn: 0 });
     this.player = new Player((t) => this.moved(t), () => this.turned());
     this.timeline = new Timeline(this.player, {
       chooseSpeed: (speed) => show({ speed }),
@@ -290,6 +291,7 @@ export class Session {
 
   turned() {
     this.timeline.turned();
+    if (this.row) this.told();
     if (!this.row || this.isUp === false || this.isDown) return;
     const { player } = this;
     const { status } = this.row;

@@ -15,7 +15,7 @@ from cogradar.services.delivery.order_book import commands_kept_free
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.web.address import COMMAND_VARIABLE, Admitted
-from cogradar.services.web.parameters import shown_token
+from cogradar.services.web.parameters import asked, shown_token
 from cogradar.services.web.problem_documents import Problem, bad
 from cogradar.services.web.run_answers import core_of, run_of, scored
 from cogradar.shared.protocol.messages import Command
@@ -41,6 +41,12 @@ async def commands(request: Request) -> Response:
     return await (_command(request) if request.method == "POST" else run_sync(_listed, request))
 
 
+async def commander(request: Request) -> Response:
+    """The name that the token which is shown commands with."""
+    asked(request, ())
+    return JSONResponse({"name": _commander(request)}, headers={"Cache-Control": "no-store"})
+
+
 async def _command(request: Request) -> Response:
     """Command a run: its row of `commands` once the recorder has granted it."""
     by, run, core = _commander(request), run_of(request), core_of(request)
@@ -50,15 +56,15 @@ async def _command(request: Request) -> Response:
         action = parsed(told.split()) if isinstance(told, str) else action_of(told)
     except ValueError as error:
         raise bad(str(error)) from None
-    asked = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
-    await run_sync(_check, core, asked)
-    if not core.command(asked):
+    command = Command(run=run, id=uuid.uuid4().hex, by=by, action=action, at=document.get("at", 0))
+    await run_sync(_check, core, command)
+    if not core.command(command):
         detail = "too many commands wait for the recorder; this one was not sent"
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, detail, {"Retry-After": "1"})
     until = time.monotonic() + WITHIN_S
-    while (row := await run_sync(_row, core, asked)) is None:
+    while (row := await run_sync(_row, core, command)) is None:
         if time.monotonic() > until:
-            await run_sync(_check, core, asked)
+            await run_sync(_check, core, command)
             detail = f"no recorder confirmed it within {WITHIN_S:.0f} s: it may still be granted; GET this address says"
             raise Problem(HTTPStatus.GATEWAY_TIMEOUT, detail)
         await asyncio.sleep(POLL_S)
@@ -105,13 +111,13 @@ async def _document(request: Request) -> dict[str, Any]:
     return document
 
 
-def _check(core: MetricsCore, asked: Command) -> None:
+def _check(core: MetricsCore, command: Command) -> None:
     """Raises Problem if the run cannot be commanded."""
-    for row in answer(core.store, "refusal", {"run": asked.run, "kept": str(commands_kept_free(asked))}):
+    for row in answer(core.store, "refusal", {"run": command.run, "kept": str(commands_kept_free(command))}):
         status = _STATUS[row["fault"]]
         raise Problem(status, row["reason"], {"Retry-After": "1"} if row["fault"] == "held" else None)
 
 
-def _row(core: MetricsCore, asked: Command) -> dict[str, Any] | None:
-    rows = answer(core.store, "command", {"run": asked.run, "id": asked.id})
+def _row(core: MetricsCore, command: Command) -> dict[str, Any] | None:
+    rows = answer(core.store, "command", {"run": command.run, "id": command.id})
     return rows[0] if rows else None

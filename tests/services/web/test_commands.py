@@ -19,6 +19,7 @@ from cogradar.services.web.address import COMMAND_FILE_VARIABLE, COMMAND_VARIABL
 from cogradar.services.web.app import create
 from cogradar.shared.protocol.events import Tick
 from tests.services.loop import smoke_start
+from tests.services.web.conftest import ask
 from tests.skies import sky_start
 
 TOKEN, READER = "c0mmander-of-the-tower", "reads-only-reads-only"
@@ -135,6 +136,16 @@ def test_only_a_commander_commands(metrics: MetricsCore) -> None:
         _post(create(metrics, Admitted(None, "", {TOKEN: "tower"}), 0.1), "r", token="", json=HALF).status_code == 401
     )
     assert metrics.store.read("SELECT * FROM command") == []
+
+
+def test_a_token_is_checked_before_it_commands(metrics: MetricsCore) -> None:
+    app = create(metrics, Admitted(None, "", {TOKEN: "tower"}), 0.1)
+    at = "/api/v1/commander"
+    found = ask(app, at, Authorization=f"Bearer {TOKEN}")
+    assert (found.status_code, found.json()) == (200, {"name": "tower"})
+    assert ask(app, at, Authorization=f"Bearer {READER}").status_code == 403
+    assert ask(app, at).status_code == 401
+    assert ask(create(metrics, Admitted(None), 0.1), at, Authorization=f"Bearer {TOKEN}").status_code == 403
 
 
 def test_a_command_that_nobody_confirms_is_said_to_be_open(

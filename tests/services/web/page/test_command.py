@@ -47,6 +47,7 @@ def commander(sky: Live, show: Open) -> Page:
     page.keyboard.type(TOKEN)
     page.keyboard.press("Enter")
     expect(page.get_by_label("In words")).to_be_focused()
+    expect(_answer(page)).to_have_text("You command as tower.")
     return page
 
 
@@ -115,7 +116,7 @@ def test_a_sector_is_drawn_blanked_and_seen(commander: Page) -> None:
 
 
 def test_a_look_goes_where_the_scope_is_clicked(commander: Page) -> None:
-    commander.get_by_label("dwells").fill("30")
+    commander.get_by_label("dwells", exact=True).fill("30")
     commander.get_by_role("button", name="Aim").click()
     commander.mouse.click(*_at(commander, 0.4))
     expect(_answer(commander)).to_have_text(re.compile(r"^look -\d+(\.\d)? 30 0\.2: granted from dwell \d+ on\.$"))
@@ -161,16 +162,37 @@ def test_the_chosen_track_comes_first_and_is_dropped(commander: Page) -> None:
     expect(commander.locator(f"#tracks tr[data-target='{track}']")).to_have_count(0)
 
 
-def test_a_token_that_is_none_is_said_and_forgotten(sky: Live, show: Open, watched: Watched) -> None:
+def test_what_stops_the_radar_comes_first(commander: Page) -> None:
+    names = commander.locator("#command-acts button").all_inner_texts()
+    assert names[:3] == ["Pause transmission", "Resume", "End the run …"]
+
+
+def test_a_second_enter_sends_nothing(commander: Page, watched: Watched) -> None:
+    watched.may_be_refused = True
+    sent = list[str]()
+    commander.on("request", lambda request: sent.append(request.url) if request.method == "POST" else None)
+    words = commander.get_by_label("In words")
+    words.fill("power 1")
+    commander.keyboard.press("Enter")
+    expect(_answer(commander)).to_contain_text("power 1: granted")
+    expect(words).to_have_value("")
+    commander.keyboard.press("Enter")
+    words.fill("power 2")
+    commander.keyboard.press("Enter")
+    expect(_answer(commander)).to_contain_text("share = 2")
+    expect(words).to_have_value("power 2")  # to be mended
+    assert len(sent) == 2
+
+
+def test_a_token_that_is_none_opens_nothing(sky: Live, show: Open, watched: Watched) -> None:
     watched.may_be_refused = True
     page = show(sky.page)
     wait_for_dwell(page, 3)
     page.get_by_role("button", name="Command").click()
     page.get_by_label("Commander's token").fill("no-commander-has-this-one")
     page.get_by_role("button", name="Use it").click()
-    page.get_by_label("In words").fill("power 0.5")
-    page.get_by_role("button", name="Send").click()
     expect(_answer(page)).to_contain_text("this token is no commander's")
+    expect(page.locator("#command-acts")).to_be_hidden()
     expect(page.get_by_label("Commander's token")).to_be_focused()
     page.keyboard.press("Escape")
     expect(page.locator("#command")).to_be_hidden()
@@ -189,6 +211,10 @@ def test_the_run_ends_when_it_is_asked_for_twice(sky: Live, commander: Page) -> 
     commander.get_by_role("button", name="End the run", exact=True).click()
     expect(_answer(commander)).to_contain_text("end: granted from dwell")
     expect(commander.locator("#connection")).to_have_text("Complete: ended by command")
+    expect(commander.locator("#command-over")).to_be_visible()
+    expect(commander.locator("#command-acts")).to_be_hidden()
+    commander.locator("#token-forget").evaluate("button => button.click()")
+    expect(commander.locator("#token-form")).to_be_hidden()
 
 
 def _commands(sky: Live) -> list[dict[str, object]]:
