@@ -1,5 +1,5 @@
 // What is wrong with a run that is watched live, in a line: a role has no process; it stands still, and why; plans are
-// late, and for whom; cells are blind, looks are not measured, a certificate is about to end.
+// late, and for whom; waveforms are stale; cells are blind, looks are not measured, a certificate is about to end.
 
 import { Latest, ask } from "./api.js";
 import * as says from "./says.js";
@@ -16,7 +16,7 @@ const REFUSED_MS = 60_000; // ... if the service has no router that it could ask
 const START_S = 5; // from the start of a process to its first dwell
 const SOON_DAYS = 30;
 const SLOW = 0.5; // of a dwell, after which a scan leaves too little for the plans
-const ALARMING = 0.05; // of plans that are late, of cells that are blind, of looks that are not measured
+const ALARMING = 0.05; // of plans that are late, of waveforms that are stale, of cells that are blind, of looks that are not measured
 
 export class Alarms {
   constructor(session) {
@@ -108,14 +108,16 @@ function endingOf(processes) {
   return [`The certificate of ${first.name}${more} ${when}`];
 }
 
-// What is wrong in these dwells: shares of plans, or nothing, of cells and of looks.
+// What is wrong in these dwells: shares of plans, or nothing, of waveforms, cells and looks.
 function lately(dwells) {
   const targets = dwells.flatMap((dwell) => dwell.targets.filter((one) => one.late !== null && !one.is_over));
   const blind = dwells.flatMap((dwell) => dwell.cells?.blind ?? []);
   const looks = dwells.flatMap(({ cells }) => cells ? [...cells.bin.map(() => false), ...(cells.unmeasured ?? []).map(() => true)] : []);
+  const stale = dwells.filter((dwell) => dwell.stale !== null);
   const share = (all, is) => (all.length ? all.filter(is).length / all.length : 0);
-  const [late, unseeing, unmeasured] = [share(targets, (one) => one.late), share(blind, (one) => one), share(looks, (one) => one)];
+  const [late, old, unseeing, unmeasured] = [share(targets, (one) => one.late), share(stale, (one) => one.stale), share(blind, (one) => one), share(looks, (one) => one)];
   const found = [late > ALARMING ? `${fixed(100 * late, 0)} % of the plans are late` : ""];
+  if (old > ALARMING) found.push(`${fixed(100 * old, 0)} % of the waveforms are stale`);
   if (unseeing > ALARMING) found.push(`${fixed(100 * unseeing, 0)} % of the cells are blind`);
   if (unmeasured > ALARMING) found.push(`${fixed(100 * unmeasured, 0)} % of the looks are not measured`);
   return found;

@@ -169,6 +169,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "k": k,
         "utc_s": _utc_s(known, scan, t),
         "threshold": known.threshold,
+        "stale": None if scan is None else scan.get("waveform_k") is not None,
         "isotropic": sent["isotropic"] if sent is not None else None,
         "targets": shown,
         "tracks": tracks,

@@ -162,6 +162,7 @@ class DwellEvent(Document):
         description="Since 1970 in UTC: as the front end says, or `[site]` if it says when the run begins."
     )
     threshold: float
+    stale: bool | None = Field(description="In real time: it was radiated with an older waveform.")
     isotropic: float | None
     targets: list[TargetOfDwell]
     tracks: list[TrackOfDwell] | None = Field(description="null: their number is known.")

@@ -51,9 +51,14 @@ def record(path: Path, runs: dict[str, list[Message]]) -> None:
     journal.close()
 
 
+def _timed(scan: Scan) -> dict[str, float | None]:
+    """When a scan was, and that it was of an older waveform in dwell 3."""
+    return {"utc_s": 1e9 + scan.k, "waveform_k": scan.k - 2 if scan.t == 3 else None}
+
+
 @pytest.fixture(scope="session")
 def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs: whole, other (another strategy), sited (on the earth), timed (by its receiver), blind (no truth), begun."""
+    """Runs: whole, other (another strategy), sited (on the earth), timed (late once), blind (no truth), begun."""
     path = tmp_path_factory.mktemp("web") / "runs.db"
     start = smoke_start(dwells=DWELLS)
     sited = start.scenario | {"site": SITE}
@@ -64,7 +69,7 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
             "whole": sent,
             "other": play(smoke_start(Strategy.UNIFORM, dwells=DWELLS)),
             "sited": [start.model_copy(update={"scenario": sited}), *sent[1:]],
-            "timed": [m.model_copy(update={"utc_s": 1e9 + m.k}) if isinstance(m, Scan) else m for m in sent],
+            "timed": [m.model_copy(update=_timed(m)) if isinstance(m, Scan) else m for m in sent],
             "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
             "begun": sent[: len(sent) // 2],
         },

@@ -105,3 +105,8 @@ def test_a_dwell_without_truth_says_what_is_known(web: httpx.Client) -> None:
         for target in dwell["targets"]:
             assert (target["error_km"], target["true_bin"], target["lost"]) == (None, None, None)
             assert len(target["covariance"]) == 3
+
+
+def test_a_dwell_says_that_its_waveform_was_stale(web: httpx.Client) -> None:
+    told = get(web, "timed/dwells", dwells=":")["dwells"]
+    assert [dwell["t"] for dwell in told if dwell["stale"]] == [3]

@@ -229,13 +229,17 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
         for dwell in document["dwells"]:
             for target in dwell["targets"]:
                 target["late"] = dwell["t"] % 2 == 0
+            dwell["stale"] = dwell["t"] % 2 == 0
             dwell["cells"]["blind"] = [True] + [False] * 9
             dwell["cells"]["unmeasured"] = dwell["cells"]["bin"]
         route.fulfill(response=answer, json=document)
 
     page = show(f"{quiet}/?run=begun", before=lambda page: page.route("**/dwells?*", change))
     expect(page.locator("#notice")).to_have_text(
-        re.compile("% of the plans are late; 10 % of the cells are blind; (4[89]|50) % of the looks are not measured")
+        re.compile(
+            "% of the plans are late; (4[0-9]|50) % of the waveforms are stale; "
+            "10 % of the cells are blind; (4[89]|50) % of the looks are not measured"
+        )
     )
     expect(page.locator("#legend")).to_contain_text("blind cell")
     expect(page.locator("#legend")).to_contain_text("cell not measured")
@@ -258,7 +262,9 @@ def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
         f"{quiet}/?run=begun", before=partial(_with_processes, processes=[emulator, nobody], change=change, rate_hz=0.2)
     )
     expect(told.locator("#notice")).to_have_text(
-        re.compile(r"^No planner: tracks are not updated; \d+ % of the plans are late; 10 %")
+        re.compile(
+            r"^No planner: tracks are not updated; \d+ % of the plans are late; \d+ % of the waveforms are stale; 10 %"
+        )
     )
     as_it_is = show(f"{quiet}/?run=begun")
     expect(as_it_is.locator("#dwell")).to_have_text(str(BEGUN - 1))
