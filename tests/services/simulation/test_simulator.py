@@ -43,7 +43,7 @@ from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
 from tests.services.simulation.plain import PLAIN
 
-IN_CI = 300  # schedules
+IN_CI, LOT = 1200, 200  # schedules, and of them in one test
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -458,12 +458,13 @@ def test_who_takes_a_track_plans_for_it_from_the_first_dwell_on_that_is_not_ackn
 # All together.
 
 
-def test_so_many_schedules_hold() -> None:
-    """One lot; a failing seed is shown with its faults by `cogradar simulate --replay SEED`."""
-    tally = trials.play_lot(1, IN_CI)
+@pytest.mark.parametrize("first", range(1, IN_CI, LOT))
+def test_so_many_schedules_hold(first: int) -> None:
+    """A failing seed is shown with its faults by `cogradar simulate --replay SEED`."""
+    tally = trials.play_lot(first, LOT)
     assert tally.failed == {}
-    assert tally.faults > 2 * IN_CI
-    assert tally.handled > DWELLS * IN_CI
+    assert tally.faults > 2 * LOT
+    assert tally.handled > DWELLS * LOT
 
 
 @pytest.mark.parametrize("seed", range(8))
