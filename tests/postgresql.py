@@ -5,7 +5,7 @@ import pwd
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from copy import copy
 from itertools import count
@@ -86,6 +86,20 @@ class Server:
             found = db.execute(rows).fetchall()
             pages = {page for page, run in found if run in runs} - {page for page, run in found if run not in runs}
             ((name,),) = db.execute("SELECT pg_relation_filepath(%s)", [table]).fetchall()
+        self._change(name, pages)
+
+    def spoil_long(self, url: str, table: str) -> None:
+        """The same in all pages of the values of a table that are too long for its own pages (TOAST)."""
+        with psycopg.connect(url.partition("&schema")[0]) as db:
+            db.execute(f"SET search_path TO {url.partition('schema=')[2]}".encode())
+            query = (
+                "SELECT pg_relation_filepath(reltoastrelid), pg_relation_size(reltoastrelid) / %s"
+                " FROM pg_class WHERE oid = %s::regclass"
+            )
+            ((name, n),) = db.execute(query, [PAGE_BYTES, table]).fetchall()
+        self._change(name, range(n))
+
+    def _change(self, name: str, pages: Collection[int]) -> None:
         assert pages
         self.stop()
         with (self._folder / "data" / name).open("r+b") as file:

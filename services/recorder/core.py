@@ -166,7 +166,8 @@ class RecorderCore:
         k, t = row["acknowledged_k"], row["acknowledged_t"]
         run = RecordedRun(start, k, t, self._journal.orders(name), resumed=True)
         run.n_message = row["messages"]
-        self._journal.snapshot_ks(name)  # which will be written again
+        for target in self._journal.snapshot_ks(name):
+            self._journal.snapshot(name, target, 0)  # if it cannot be read, the next one cannot replace it
         self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)

@@ -47,8 +47,8 @@ _SESSION = (
 _AWAY = re.compile(
     "08|57P|25P03|25006|55P03"
 )  # states: lost or ended sessions, a server that begins, a replica, a lock
-_FULL = re.compile("53")
-_DAMAGED = re.compile("XX|58")  # a page, an index, a file of the server, or what makes no sense to it
+_FULL = re.compile("53|58|XX")  # no room, an I/O error, a fault of the server: another time it may be able to
+_DAMAGED = re.compile("XX00[12]|58P01")  # a page, an index, a file of the server that is missing
 _OF_RUN = re.compile(r"\bWHERE run = \?")
 _Result = TypeVar("_Result")
 _Connection = psycopg.Connection[tuple[Any, ...]]
@@ -134,8 +134,10 @@ class PostgresqlConnection:
             )
         if (encoding := db.info.parameter_status("server_encoding")) != "UTF8":
             raise BadInput(f"{self.name}: a database of encoding {encoding}, must be UTF8")
-        # A question about one run looks at no page without rows of it, which may be damaged.
-        db.execute(f'SET search_path TO "{self._address.schema}"; SET enable_seqscan TO off'.encode())
+        # A question about one run looks at no page without rows of it, which may be damaged. Where there is no index,
+        # the server takes the question for so dear then that it would compile it each time, for a tenth of a second.
+        path = f'SET search_path TO "{self._address.schema}"; SET enable_seqscan TO off; SET jit TO off'
+        db.execute(path.encode())
         if self._read_only:
             db.execute("SET default_transaction_read_only TO on")
             return

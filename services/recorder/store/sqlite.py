@@ -124,24 +124,30 @@ class SqliteConnection:
 
     def execute(self, statement: str, parameters: Sequence[Any]) -> int:
         """Execute a statement; the number of rows that it changed."""
-        self._limit.begin()
-        try:
+        with self._stated():
             return self.db.execute(statement, parameters).rowcount
+
+    @contextmanager
+    def _stated(self) -> Iterator[None]:
+        """A statement. Some faults undo the whole transaction: damage, too, is then a reason to begin again."""
+        self._limit.begin()
+        was_in_transaction = self.db.in_transaction
+        try:
+            yield
         except sqlite3.Error as error:
-            raise failure(self.name, error) from None
+            found = failure(self.name, error)
+            is_undone = was_in_transaction and not self.db.in_transaction
+            raise NoRoom(str(found)) if is_undone else found from None
 
     @contextmanager
     def part(self) -> Iterator[None]:
-        """Damage undoes the statement that meets it, and nothing else."""
+        """Damage undoes the statement that meets it, and nothing else; if more was undone, it is no damage here."""
         yield
 
     def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement for each of these rows."""
-        self._limit.begin()
-        try:
+        with self._stated():
             self.db.executemany(statement, rows)
-        except sqlite3.Error as error:
-            raise failure(self.name, error) from None
 
     def rows(self, query: str, parameters: Sequence[Any]) -> list[Any]:
         """Rows of a SELECT, which can be indexed."""

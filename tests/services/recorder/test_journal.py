@@ -4,16 +4,17 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.errors import BadInput, NoRoom, StoreFailed
 from cogradar.services.recorder import journal as journals
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal, Retention
-from cogradar.services.recorder.store.sqlite import APPLICATION_ID
+from cogradar.services.recorder.store.sqlite import APPLICATION_ID, SqliteConnection
 from cogradar.services.recorder.store.tables import SCHEMA_VERSION
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import RunEnd
@@ -334,3 +335,21 @@ def test_a_reader_neither_hinders_nor_delays_the_end_of_a_writer(tmp_path: Path)
     reader.close()
     again.close()
     assert [file.name for file in tmp_path.iterdir()] == ["runs.db"]
+
+
+def test_a_statement_that_undoes_the_transaction_is_no_damage_of_one_run(tmp_path: Path) -> None:
+    """SQLite undoes all that is not committed when a change takes too long. What was undone was acknowledged."""
+    with closing(Journal(str(tmp_path / "x.db"), owner="recorder")) as journal:
+        journal.lead()
+        for k in range(4000):
+            journal.add_message("old", k, "plan", 0, b"x")
+        journal.write("INSERT INTO dropped VALUES ('old')")
+        journal.commit()
+        journal.add_message("new", 0, "plan", 0, b"x")
+        connection = journal._connection
+        assert isinstance(connection, SqliteConnection)
+        connection.db.set_progress_handler(lambda: 1, 100)
+        with pytest.raises(NoRoom, match="took more steps"):
+            journal.delete_dropped()
+        connection.db.set_progress_handler(None, 0)
+        assert journal.rows("SELECT COUNT(*) FROM message WHERE run = 'new'")[0][0] == 0

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import closing
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -130,18 +131,24 @@ def test_a_recorder_whose_writes_meet_a_damaged_page_holds_all_runs(server: Serv
         assert _status(journal) == dict.fromkeys(RUNS, "running") | {"last": "quarantined", "new": "running"}
 
 
-@pytest.mark.parametrize("resume", [True, False])
-def test_a_damaged_snapshot_ends_its_run_only(server: Server, sent: list[Message], *, resume: bool) -> None:
-    url = server.url("runs")
+@pytest.mark.parametrize(("resume", "n_byte"), [(True, 1900), (False, 1900), (True, 30_000)])
+def test_a_damaged_snapshot_ends_its_run_only(
+    server: Server, sent: list[Message], n_byte: int, *, resume: bool
+) -> None:
+    """Of a long one the server has pages of its own, which are not read with the others."""
+    url, rng = server.url("runs"), np.random.default_rng(1)
     with closing(Journal(url, owner="recorder")) as journal:
         core = Recorder(journal)
         for run in ("bad", "last"):
             for message in sent[:-1]:
                 core.handle(message.model_copy(update={"run": run}))
             for target in range(1, 4):
-                journal.set_snapshot(run, target, 5, bytes(1900))
+                journal.set_snapshot(run, target, 5, rng.bytes(n_byte if run == "bad" else 1900))
             journal.set_snapshot(run, 4, 5, bytes(1000))
-    server.spoil(url, "snapshot", "bad")
+    if n_byte > 1900:
+        server.spoil_long(url, "snapshot")
+    else:
+        server.spoil(url, "snapshot", "bad")
     with closing(Journal(url, owner="recorder")) as journal:
         core = Recorder(journal, resume=resume)
         core.handle(_end("last", sent))
@@ -161,3 +168,11 @@ def test_a_check_names_all_runs_on_damaged_pages(server: Server, sent: list[Mess
     assert done.exit_code == 0, done.output
     with closing(Journal(target, read_only=True)) as journal:
         assert _status(journal).keys() == {"first", "last"}
+
+
+def test_no_question_is_compiled(server: Server) -> None:
+    """Without an index a question seems dear to the server, which spent a tenth of a second on machine code for it."""
+    with closing(Journal(server.url("runs"), owner="recorder")) as journal:
+        plan = journal.rows("EXPLAIN ANALYZE SELECT run FROM run WHERE status = ?", ["complete"])
+    assert "Seq Scan" in plan[0][0]
+    assert not [line for (line,) in plan if "JIT" in line]
