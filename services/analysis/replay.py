@@ -143,6 +143,10 @@ def _checked(stored: StoredRun, to: str) -> int:
 
 def _check_begun(stored: StoredRun, outcome: Replay, t: int, topics: str) -> None:
     """Raises BadInput if nothing was compared, unless nothing was found: there was nothing to plan."""
+    if outcome.cut_off and not outcome.agreed:
+        raise BadInput(
+            f"{stored.name}: all tracks that it has began in dwells that were cut: there is nothing to compare"
+        )
     is_empty = stored.scenario.radar.is_unknown and t > 0
     if not outcome.agreed and not outcome.late and not outcome.other_scans and not is_empty:
         raise BadInput(f"{stored.name}: no {topics} of dwell 0 is stored, as in the store of a campaign")

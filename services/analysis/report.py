@@ -26,6 +26,8 @@ from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
 from cogradar.services.runs.run import BLIND
 from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.document import ScenarioError
+from cogradar.shared.scenario.files import load
 from cogradar.shared.scoring.errors import FLIGHTS, NEES_99, bootstrap_interval, lost, nees_in_band, wilson_interval
 
 Floats = NDArray[np.float64]
@@ -38,7 +40,7 @@ MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 _OUTAGE = len(MEANS + ROOTS)  # its place in a sample
-FIRST = ("strategy", "seed", "dwells", "digest")  # what says which the first run was
+FIRST = ("strategy", "seed", "dwells", "digest")  # what says how to repeat one of the runs
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
 PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
@@ -84,7 +86,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "fidelity": radar["fidelity"],
         "rule": radar["planner"]["rule"],
         "dwells": dwells,
-        "first": {key: experiment.complete[0][key] for key in FIRST} if not experiment.has_no_end else None,
+        "first": {key: experiment.complete[0][key] for key in FIRST} if _is_shipped(experiment) else None,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
         "conflicts": sum(run["conflicts"] for run in runs),
@@ -101,6 +103,17 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "confirmation": [_confirmation(store, experiment, name) for name in samples if experiment.is_unknown],
         "differences": differences(samples, last_dwells(dwells)),
     }
+
+
+def _is_shipped(experiment: Experiment) -> bool:
+    """Whether the scenario is what its name means on a command line, and its runs end by themselves."""
+    if experiment.has_no_end:
+        return False
+    try:
+        shipped = load(experiment.scenario)
+    except ScenarioError:
+        return False
+    return bool(shipped.model_dump(mode="json") == json.loads(experiment.document))
 
 
 def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:

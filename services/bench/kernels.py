@@ -339,7 +339,7 @@ CASES = {
     "predict_mixture": Case("12 000 particles one dwell later, some of them in turns", 0.6, _predict),
     "weigh_looks": Case("12 000 particles weighed, a hit beside a miss, steered", 0.36, _weigh_looks),
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
-    "assign_1000": Case("whose 1000 detections are, of 1000 tracks", 80.0, partial(_assign, 1000)),
+    "assign_1000": Case("1000 detections assigned to 1000 tracks", 80.0, partial(_assign, 1000)),
     "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
     "array_dwell": Case("a data set of 10^4 channels, 100 bins tested from it", 2.0, _array_dwell),

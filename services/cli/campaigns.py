@@ -160,7 +160,7 @@ def sweep(
                 found = differences.compared(found, kept, variants, *base)
                 tables.append(differences.table(found, axes, *base))
             remarks = results.remarks(kept, found)
-            first = results.first_runs(kept, scenario, settings or (), axes, variants[:1])
+            first = results.first_of(kept, scenario, settings or (), axes, variants[0])
         if into:
             results.write(Path(into), label(store), tables, [*remarks, *first])
         files = results.draw(found, axes, Path(folder)) if folder else []

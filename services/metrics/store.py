@@ -28,6 +28,7 @@ from cogradar.services.recorder.store.tables import MEMORY, PICTURE_KEY, SCORE_K
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 from cogradar.shared.wire.codec import BadMessage, fields
 
+NAMES_AT_ONCE = 256  # runs that are asked for in one question
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: a client that asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
 KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
@@ -91,8 +92,8 @@ class Store:
     def damaged_rows(self, runs: Iterable[str]) -> dict[str, Damaged]:
         """Which of these runs have a row that is not as it was written, and are not set aside for it."""
         found, names = dict[str, Damaged](), [name for name in runs if name not in self._sound]
-        for at in range(0, len(names), AT_ONCE):
-            some = names[at : at + AT_ONCE]
+        for at in range(0, len(names), NAMES_AT_ONCE):
+            some = names[at : at + NAMES_AT_ONCE]
             which = f"WHERE run IN ({','.join('?' * len(some))}) AND status <> ? ORDER BY place"
             for row in self.read(f"SELECT {LISTED['run']} FROM run {which}", [*some, QUARANTINED]):
                 try:

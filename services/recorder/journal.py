@@ -180,7 +180,7 @@ class Journal(Database):
         (row,) = self.rows(f"SELECT COALESCE(SUM(LENGTH(payload)), 0) {of_them}", (run, before_k))
         n_message = self.write(f"DELETE {of_them}", run, before_k)
         ((ended,),) = self.rows("SELECT MAX(n) FROM command WHERE run = ? AND over_k <= ?", (run, before_k))
-        n_command = self.write(  # none is before one that is not there
+        n_command = self.write(  # n <= NULL is never true: nothing is deleted
             "DELETE FROM command WHERE run = ? AND n <= ? AND (k IS NULL OR over_k <= ?)"
             " AND n < (SELECT MAX(n) FROM command WHERE run = ?)",
             *(run, ended, before_k, run),

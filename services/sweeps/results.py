@@ -202,16 +202,11 @@ def remarks(store: Store, found: Rows) -> list[str]:
     return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
 
 
-def first_runs(
-    store: Store, scenario: str, settings: Sequence[str], axes: Sequence[Axis], variants: Sequence[Variant]
-) -> list[str]:
-    """How to repeat the first complete run of each of these variants."""
+def first_of(store: Store, scenario: str, settings: Sequence[str], axes: Sequence[Axis], variant: Variant) -> list[str]:
+    """How to repeat the first complete run of a variant, if it has one."""
     query = "SELECT * FROM run WHERE scenario = ? AND status = 'complete' ORDER BY place LIMIT 1"
-    return [
-        first_run(run, scenario, [*settings, *_chosen(axes, variant)])
-        for variant in variants
-        for run in store.read(query, [variant.scenario.name])
-    ]
+    found = store.read(query, [variant.scenario.name])
+    return [first_run(run, scenario, [*settings, *_chosen(axes, variant)]) for run in found]
 
 
 def _chosen(axes: Sequence[Axis], variant: Variant) -> list[str]:

@@ -106,7 +106,8 @@ class Detections(_Rows):
     def once(self, make: Callable[[Self, Given], Made], given: Given) -> Made:
         """make(self, given), which is made once for all tracks that are told of this scan.
 
-        It is made of a copy: what keeps its scan would otherwise lie there with it until the garbage collector looks.
+        It is made of a copy: a result that holds this scan would be a reference cycle, which only the garbage collector
+        frees.
         """
         if (make, given) not in self._made:
             self._made[make, given] = make(self._replace(), given)

@@ -169,32 +169,42 @@ def assigned(scores: Floats) -> tuple[Ints, Ints]:
 
     scores : (m, n) log odds of each pair against neither, of m tracks and n detections
     """
-    m, n = scores.shape
-    rows, columns = np.nonzero(scores > 0.0)
-    parts, _ = _labelled(np.searchsorted(rows, np.arange(m + 1)), columns, n)
-    taken = np.full(m, -1)
+    parts = _parts(scores)
+    if not parts.any():
+        return _taken(scores), parts
+    taken = np.full(parts.size, -1)
     for first in np.unique(parts).tolist():
         part = np.flatnonzero(parts == first)
-        gains, theirs = _gains(scores[part])
-        _, found = _best_pairs(gains)
-        taken[part] = np.append(theirs, np.full(part.size, -1))[found]
+        theirs = _theirs(scores[part])
+        taken[part] = np.append(theirs, -1)[_taken(scores[np.ix_(part, theirs)])]
     return taken, parts
 
 
 def is_in_doubt(scores: Floats, taken: Ints, parts: Ints, own: int) -> bool:
     """Whether another assignment, in which a track has not what is taken, is nearly as probable (`assigned`)."""
-    part = np.flatnonzero(parts == parts[own])
-    best = sum(scores[i, taken[i]] for i in part.tolist() if taken[i] >= 0)
-    gains, theirs = _gains(scores[part])
-    is_taken = np.append(theirs == taken[own], np.full(part.size, taken[own] < 0))
-    gains[np.searchsorted(part, own), is_taken] = _NEVER
+    if parts.any():
+        part = np.flatnonzero(parts == parts[own])
+        theirs = _theirs(scores[part])
+        there = np.where(taken[part] >= 0, np.searchsorted(theirs, taken[part]), -1)
+        scores, taken, own = scores[np.ix_(part, theirs)], there, int(np.searchsorted(part, own))
+    m, n = scores.shape
+    gains = np.zeros((m, n + m))
+    gains[:, :n] = scores
+    best = sum(scores[i, column] for i, column in enumerate(taken.tolist()) if column >= 0)
+    gains[own, taken[own] if taken[own] >= 0 else slice(n, None)] = _NEVER
     return bool(best - gains[_best_pairs(gains)].sum() < IN_DOUBT)
 
 
-def _gains(scores: Floats) -> tuple[Floats, Ints]:
-    """Of the detections that may be of these tracks, (d,), and then of none, once for each: the scores, (m, d + m)."""
-    theirs = np.flatnonzero((scores > 0.0).any(axis=0))
-    return np.hstack((scores[:, theirs], np.zeros((len(scores), len(scores))))), theirs
+def _taken(scores: Floats) -> Ints:
+    """The detection of each track, all solved together."""
+    m, n = scores.shape
+    _, columns = _best_pairs(np.hstack((scores, np.zeros((m, m)))))
+    return np.where(columns < n, columns, -1)
+
+
+def _theirs(scores: Floats) -> Ints:
+    """The detections that may be of some of these tracks."""
+    return np.flatnonzero((scores > 0.0).any(axis=0))
 
 
 def _best_pairs(gains: Floats) -> tuple[Ints, Ints]:
@@ -408,6 +418,19 @@ def _labelled(starts: Ints, pairs: Ints, n: int) -> tuple[Ints, Ints]:
         if theirs[j] >= 0:
             theirs[j] = labels[theirs[j]]
     return labels, theirs
+
+
+@kernel
+def _parts(scores: Floats) -> Ints:
+    """Which tracks, (m,), hang together through positive scores, (m, n): the first of them."""
+    m, n = scores.shape
+    starts, pairs, n_pair = np.zeros(m + 1, np.int64), np.empty(m * n, np.int64), 0
+    for i in range(m):
+        for j in range(n):
+            if scores[i, j] > 0.0:
+                pairs[n_pair], n_pair = j, n_pair + 1
+        starts[i + 1] = n_pair
+    return _labelled(starts, pairs[:n_pair], n)[0]
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -364,3 +365,14 @@ def test_perfect_runs_have_intervals_too() -> None:
     row = report_of(store)["last"][0]
     assert (row["p_d"], row["position_rmse_km"]) == (1.0, 0.0)
     assert np.isfinite(row["p_d_wilson_low"])
+
+
+def test_a_run_to_repeat_is_named_of_a_shipped_scenario_only(store: Store) -> None:
+    """With other settings, or of a file of its own, its name means something else on a command line."""
+    (one,) = experiments(store, Selection.of({"run": "all"}))
+    first = {"strategy": "power-aware", "seed": 1, "dwells": 60, "digest": "0" * 64}
+    assert report(store, one)["first"].keys() == first.keys()
+    document = json.loads(one.document)
+    document["radar"]["planner"]["rule"] = "mean"
+    for other in (replace(one, document=json.dumps(document)), replace(one, scenario="smoke-1")):
+        assert report(store, other)["first"] is None

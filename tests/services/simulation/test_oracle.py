@@ -114,7 +114,7 @@ def test_of_two_frozen_recorders_each_keeps_its_journal_open() -> None:
 
 
 def test_of_a_waveform_without_power_less_is_the_same() -> None:
-    """That of a pause was divided by its power, where a limited waveform was looked for among all of its run."""
+    """In a pause the power is 0, and it was divided by it."""
     assert checks._limited(("a", 0.0, b""), 0.5) == ("a", 0.0, b"")
     assert checks._limited(("a", 2.0, b""), 0.5) == ("a", 0.5, b"")
 
