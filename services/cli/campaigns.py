@@ -35,8 +35,9 @@ from cogradar.services.cli.console import (
     with_rule,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
-from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.errors import BadInput, Damaged, RunFailed, check_stop
 from cogradar.services.recorder.store.address import SHORT, label, shown
+from cogradar.services.recorder.store.seal import beyond_cure, without_cure
 from cogradar.services.runs.run import as_played
 from cogradar.services.topology import Start
 from cogradar.shared.scenario.files import load
@@ -359,15 +360,26 @@ def _check_store(source: str, stop: Stop) -> None:
             tell(f"{shown(source)}: run {n}, {run}")
 
         found = check(source, told)
-    for one in found[1:]:
-        say(str(one), err)
+    for one in found:
+        say(without_cure(shown(source), one), err)
+    if found and len({one.run for one in found if one.run}) == n:
+        raise Damaged(beyond_cure(shown(source), f"{shown(source)}: is damaged"))
     if found:
-        raise found[0]
+        cure = f"`cogradar store copy --intact {shown(source)} NEW` saves the runs that are whole"
+        raise Damaged(f"{shown(source)}: is damaged, as said above: {cure}")
     say(f"{shown(source)}: {n} runs, all as they were written")
 
 
 def _copy_store(source: str, target: str, stop: Stop, *, only_intact: bool) -> None:
     from cogradar.services.recorder.store.copy import copy
 
-    counts = copy(source, target, lambda *_: check_stop(stop), only_intact=only_intact)
+    lost = list[Damaged]()
+    try:
+        counts = copy(source, target, lambda *_: check_stop(stop), only_intact=only_intact, left_out=lost.append)
+    except Damaged as error:
+        if not only_intact:
+            raise
+        raise Damaged(beyond_cure(shown(source), without_cure(shown(source), error))) from None
+    for one in lost:
+        say(f"left out: {without_cure(shown(source), one)}", err)
     say(f"{shown(target)}: {counts['run']} runs, {counts['message']} messages, {sum(counts.values())} rows in all")

@@ -7,7 +7,7 @@ from typing import Any
 
 from cogradar.services.errors import Damaged
 from cogradar.services.recorder.store.database import Database
-from cogradar.services.recorder.store.seal import SEALED, damage, scores_checksum, verify
+from cogradar.services.recorder.store.seal import SEALED, damage, scores_checksum, verify, without_cure
 from cogradar.services.recorder.store.tables import described, statements
 
 AT_ONCE = 512  # rows; a message has at most 4 MiB, most have some kB
@@ -31,6 +31,9 @@ def check(name: str, report: Callable[[str], None] = lambda _: None) -> list[Dam
         found = list[Damaged]()
         try:
             found += [damage(store.path, fault) for fault in store.faults()]
+        except Damaged as error:
+            found.append(error)
+        try:
             for run in names(store):
                 report(run)
                 found += damages(check_run, store, run)
@@ -53,8 +56,12 @@ def held_still(name: str) -> Iterator[Database]:
 
 
 def names(store: Database) -> list[str]:
-    """The runs of a store, in the order in which they began."""
-    return [row[0] for row in store.rows("SELECT run FROM run ORDER BY place")]
+    """The runs of a store, in the order in which they began; by name if rows of some cannot be read. Raises Damaged."""
+    try:
+        rows = store.rows("SELECT run FROM run ORDER BY place")
+    except Damaged:
+        rows = store.rows("SELECT run FROM run ORDER BY run")  # in a file an index alone answers this
+    return [row[0] for row in rows]
 
 
 def damages(look: Callable[[Database, str], object], store: Database, at: str) -> list[Damaged]:
@@ -63,7 +70,8 @@ def damages(look: Callable[[Database, str], object], store: Database, at: str) -
         look(store, at)
     except Damaged as error:
         is_of_run = not error.run and look is check_run
-        return [damage(store.path, f"run {at!r}: {error}", at) if is_of_run else error]
+        what = without_cure(store.path, error).removeprefix(f"{store.path}: ")
+        return [damage(store.path, f"run {at!r}: {what}", at) if is_of_run else error]
     return []
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any
 
-from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.errors import BadInput, Damaged, StoreFailed
 from cogradar.services.recorder.store.address import is_server
 from cogradar.services.recorder.store.check import (
     OF_RUNS,
@@ -20,16 +20,24 @@ from cogradar.services.recorder.store.check import (
 from cogradar.services.recorder.store.database import Database
 from cogradar.shared.scenario.faults import printable
 
+Part = tuple[str, str | None]  # table, and the run whose rows of it are copied; None: all rows
+
 
 def copy(
-    source: str, target: str, report: Callable[[str, int], None] = lambda *_: None, *, only_intact: bool = False
+    source: str,
+    target: str,
+    report: Callable[[str, int], None] = lambda *_: None,
+    *,
+    only_intact: bool = False,
+    left_out: Callable[[Damaged], None] = lambda _: None,
 ) -> dict[str, int]:
     """Copy what is committed at this moment; how many rows each table has.
 
     The copy is read again, and compared row by row, before it is committed.
 
     report : gets the table and how many rows of it are copied; what it raises ends the copy; the target is then empty
-    only_intact : leave out runs with a damaged row
+    only_intact : leave out runs with a damaged row, and what belongs to no run if it is damaged
+    left_out : gets what is damaged of each run, or of each table, that is left out
 
     Raises BadInput if the target is not empty or cannot hold a text, Damaged, StoreFailed.
     """
@@ -37,22 +45,9 @@ def copy(
         if full := [name for name in TABLES if ours.rows(f"SELECT 1 FROM {name} LIMIT 1")]:
             raise BadInput(f"{ours.path}: its table {full[0]} has rows: copy to a new file or an empty schema")
         try:
-            runs = list[str | None]()
-            for name in names(theirs):
-                if not (found := damages(check_run, theirs, name)):
-                    runs.append(name)
-                elif not only_intact:
-                    raise found[0]
+            parts = _intact(theirs, left_out) if only_intact else _all(theirs)
             counts = dict.fromkeys(TABLES, 0)
             digests = hashlib.sha256(), hashlib.sha256()
-            # A recorder begins without either of these; with a damaged one it would not.
-            left_out = {name for name in ("leader", "campaign") if only_intact and damages(check_table, theirs, name)}
-            parts = [
-                (name, run)
-                for name in TABLES
-                if name not in left_out
-                for run in (runs if only_intact and name in OF_RUNS else [None])
-            ]
             for name, run in parts:
                 insert = f"INSERT INTO {name} VALUES ({','.join('?' * len(TABLES[name]))})"
                 for rows in pages(theirs, name, run):
@@ -74,6 +69,33 @@ def copy(
             ours.rollback()
             raise
     return counts
+
+
+def _all(store: Database) -> list[Part]:
+    """Every table. Raises Damaged if a run is."""
+    for run in names(store):
+        for error in damages(check_run, store, run):
+            raise error
+    return [(table, None) for table in TABLES]
+
+
+def _intact(store: Database, left_out: Callable[[Damaged], None]) -> list[Part]:
+    """The runs and tables that are whole. Raises Damaged if no run is."""
+    of_runs = {run: damages(check_run, store, run) for run in names(store)}
+    others = {table: damages(check_table, store, table) for table in TABLES if table not in OF_RUNS}
+    lost = [error for found in (of_runs, others) for errors in found.values() for error in errors]
+    runs = [run for run, errors in of_runs.items() if not errors]
+    if of_runs and not runs:
+        raise lost[0]
+    for error in lost:
+        left_out(error)
+    # A recorder begins without the other tables; with a damaged one it would not.
+    return [
+        (table, run)
+        for table in TABLES
+        for run in (runs if table in OF_RUNS else [None])
+        if table in OF_RUNS or not others[table]
+    ]
 
 
 def _check_texts(path: str, table: str, rows: Sequence[tuple[Any, ...]]) -> None:

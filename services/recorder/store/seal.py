@@ -10,12 +10,14 @@ from typing import Any
 from zlib import crc32
 
 from cogradar.services.errors import Damaged
+from cogradar.services.recorder.store.address import is_server
 from cogradar.services.recorder.store.tables import described
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scoring.columns import PICTURE, SCORE
 
 CHECKSUM, DOCUMENT = "checksum", "document"
 QUARANTINED = "quarantined"  # status of a run that is set aside
+_WHY = "Bytes of the store were changed, as by a failing disk"
 _APART = {CHECKSUM, DOCUMENT}  # a scenario is long, and has a checksum of its own in the row of its run
 _KINDS = {one.name: {column.name: column.kind for column in columns} for one, columns in described()}
 SEALED = {
@@ -83,14 +85,23 @@ def damaged(store: str, table: str, row: Mapping[str, Any], what: str = "its che
 
 def damage(store: str, what: str, run: str = "") -> Damaged:
     """The same of something that is no row."""
-    return Damaged(
-        printable(f"{store}: {what}. Bytes of the store were changed, as by a failing disk: {cure(store)}"), run
-    )
+    return Damaged(printable(f"{store}: {what}. {_WHY}: {cure(store)}"), run)
 
 
 def cure(store: str) -> str:
     """What to do about a damaged store."""
     return f"`cogradar store check {store}` lists what is damaged, `store copy --intact` saves the other runs"
+
+
+def without_cure(store: str, error: Damaged) -> str:
+    """What is damaged, for a command that is the cure itself."""
+    return str(error).removesuffix(printable(f". {_WHY}: {cure(store)}"))
+
+
+def beyond_cure(store: str, what: str) -> str:
+    """What is damaged in a store that has no whole run, and what is left to do."""
+    rows = "" if is_server(store) else f"; `sqlite3 {store} .recover` may find some of its rows"
+    return printable(f"{what}. {_WHY}, and no run can be read whole: use a backup or another copy{rows}")
 
 
 def _checksum(table: str, row: Mapping[str, Any]) -> int:

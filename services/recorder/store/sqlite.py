@@ -18,7 +18,7 @@ from typing import Any
 
 from cogradar.services.errors import BadInput, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
 from cogradar.services.recorder.store.lock import JournalLock
-from cogradar.services.recorder.store.seal import damage
+from cogradar.services.recorder.store.seal import beyond_cure, damage
 from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, statements
 from cogradar.shared.scenario.faults import printable
 
@@ -116,7 +116,8 @@ class SqliteConnection:
 
     def faults(self) -> list[str]:
         """What SQLite finds wrong with its pages."""
-        return [text for (text,) in self.rows("PRAGMA quick_check(10)", ()) if text != "ok"]
+        lines = [line for (text,) in self.rows("PRAGMA quick_check(10)", ()) for line in text.splitlines()]
+        return [line for line in lines if line != "ok" and not line.startswith("***")]
 
     def n_byte(self) -> int:
         """Bytes of the file with its log."""
@@ -379,5 +380,5 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
             return NoStoreYet(f"{path!r}: no such file{guess}")
         return BadInput(f"{path}: {of_system.strerror}")
     if name.startswith(_DAMAGED) and name != "SQLITE_NOTADB":  # which is any other file
-        return BadInput(str(failure(path, error)))
+        return BadInput(beyond_cure(path, f"{path}: {error}"))
     return BadInput(printable(f"{path}: {error}"))  # SQLite quotes what it found in the file

@@ -292,7 +292,7 @@ def test_a_command_names_what_is_damaged_and_what_to_do(name: str, command: str,
     said = " ".join(done.output.split())
     assert f"run '{ENDED}', table message, dwell " in said
     assert name.partition("?")[0] in said.replace(" ", "")
-    assert "store check" in said
+    assert ("store copy --intact" if command == "check" else "store check") in said
     assert "Traceback" not in said
 
 
@@ -309,6 +309,8 @@ def test_the_runs_that_are_intact_can_be_copied(name: str, tmp_path: Path) -> No
     target = str(tmp_path / "saved.db")
     done = CliRunner().invoke(app, ["store", "copy", "--intact", name, target])
     assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert ("left out: " in said, f"run '{ENDED}', table message, dwell " in said) == (True, True)
     assert [row["run"] for row in rows(target, "SELECT run FROM run ORDER BY place")] == [LIVE, KEPT]
     assert check(target) == []
     done = CliRunner().invoke(app, ["store", "check", target])
@@ -353,16 +355,37 @@ def test_other_runs_are_answered_and_the_damaged_one_is_shown_as_such(name: str)
     metrics.close()
 
 
-@pytest.mark.parametrize("page", [1, 4])
-def test_a_page_that_sqlite_cannot_read_is_said_plainly(sent: list[Message], tmp_path: Path, page: int) -> None:
+@pytest.mark.parametrize(
+    ("of", "runs"),
+    [
+        ("", set()),
+        ("run", set()),
+        ("sqlite_autoindex_run_2", {LIVE, ENDED, KEPT}),  # the places of runs in the list
+        ("sqlite_autoindex_dropped_1", {LIVE, ENDED, KEPT}),
+    ],
+)
+def test_a_page_that_sqlite_cannot_read_costs_what_is_on_it_and_is_said_with_what_to_do(
+    sent: list[Message], tmp_path: Path, of: str, runs: set[str]
+) -> None:
     path = tmp_path / "runs.db"
     _fill(str(path), sent)
     with closing(sqlite3.connect(path)) as db:
         ((size,),) = db.execute("PRAGMA page_size")
+        page = next((root for (root,) in db.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", [of])), 1)
     content = bytearray(path.read_bytes())
     content[(page - 1) * size + 100 * (page == 1) : page * size] = bytes(size - 100 * (page == 1))
     path.write_bytes(content)
-    done = CliRunner().invoke(app, ["store", "check", str(path)])
-    assert done.exit_code == 2, done.output
-    assert "Traceback" not in done.output
-    assert "runs.db" in done.output
+    saved = str(tmp_path / "saved.db")
+    for command in (["check", str(path)], ["copy", "--intact", str(path), saved]):
+        done = CliRunner().invoke(app, ["store", *command])
+        said = " ".join(done.output.split())
+        assert "Traceback" not in said
+        assert "store check" not in said  # no command advises itself
+        if runs and command[0] == "copy":
+            assert done.exit_code == 0, said
+            assert {row["run"] for row in rows(saved, "SELECT run FROM run")} == runs
+            assert check(saved) == []
+        else:
+            assert done.exit_code == 2, said
+            assert ("copy --intact" if runs else ".recover` may find") in said
+            assert f"': {path}" not in said  # once is enough
