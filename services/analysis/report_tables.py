@@ -213,9 +213,10 @@ def caption(report: dict[str, Any]) -> str:
     what = f"{report['scenario']} ({report['fidelity']}): {runs} run{'s' * (not is_one)} of {report['dwells']} dwells"
     lines = [marked(what, report["rule"])]
     intervals = INDEPENDENT if max(report["runs"].values()) > 1 else OF_ONE
+    digest = f"digest {report['digest']}, of the results of all these runs together"
     if report["failed"]:
         lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")
-    return "\n".join([*lines, *conflict_warning(report["conflicts"]), intervals, f"digest {report['digest']}"])
+    return "\n".join([*lines, *conflict_warning(report["conflicts"]), intervals, digest])
 
 
 def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:

@@ -251,6 +251,8 @@ def replay(
         Progress(*columns, console=err, transient=True) as progress,
     ):
         stored = StoredRun(ask, run_)
+        if run_ is None:
+            say(f"{stored.name}: the newest run, and no other", err)
         task = progress.add_task("", total=stored.row["k"])
         outcome = replaying.replay(stored, to, lambda done: progress.update(task, completed=done))
     if as_json:

@@ -43,6 +43,7 @@ from cogradar.shared.signal.array import bin_centres
 # limit that take effect at once, and other orders that take effect at once.
 FOR_END, FOR_PAUSES, FOR_LIMITS, FOR_NOW = 1, 16, 15, 8
 NEEDS = {"priority": "priorities", "accuracy": "accuracies"}
+NAMED = 8  # tracks, where one that is not there is asked for
 URGENT_COMMANDS = 500  # of all that a run may ever have, for pauses, their ends and limits
 
 
@@ -169,7 +170,10 @@ class OrderBook:
         announced = self._radar.announced
         is_there = is_later or action.track in tracks if self._radar.is_unknown else action.track < announced
         if not is_there:
-            raise Refused(f"there is no track {action.track + 1}")
+            there = sorted(tracks) if self._radar.is_unknown else range(announced or 0)
+            more = f" and {len(there) - NAMED} more" if len(there) > NAMED else ""
+            named = ", ".join(f"{track + 1}" for track in there[:NAMED])
+            raise Refused(f"there is no track {action.track + 1}; those that are there: {named or 'none'}{more}")
 
     def _check_together(self, new: Order) -> None:
         """At each dwell with other orders: settings are a supported combination, there are beams where some are asked

@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any
 
 from cogradar.services.errors import BadInput
-from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected, whole
+from cogradar.services.metrics.selection import ALL, LISTING, Run, Selection, number, selected, whole
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import order_of
 from cogradar.services.recorder.store.tables import MAX_COMMANDS
@@ -78,7 +78,7 @@ def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     run, rows, size = parameters.get("run", ""), list[Run](), 0
     ends = store.read("SELECT acknowledged_k AS k, kept_k FROM run WHERE run = ?", [run])
     if not ends:
-        raise BadInput(f"run = {run!r}: no such run")
+        raise BadInput(f"run = {run!r}: no such run; {LISTING}")
     for first in range(max(number(parameters, "k", 0) or 0, ends[0]["kept_k"]), ends[0]["k"], AT_ONCE):
         stored = store.messages(run, topics, first, min(first + AT_ONCE, ends[0]["k"]) - 1)
         for k, messages in groupby(stored, itemgetter(0)):
@@ -126,7 +126,7 @@ def refusal(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     query = "SELECT status, (SELECT COUNT(*) FROM command WHERE command.run = run.run) AS n FROM run WHERE run = ?"
     rows = store.read(query, [name])
     if not rows:
-        return [{"fault": "missing", "reason": f"run = {name!r}: no such run"}]
+        return [{"fault": "missing", "reason": f"run = {name!r}: no such run; {LISTING}"}]
     if (status := rows[0]["status"]) != "running":
         return [{"fault": "ended", "reason": f"run = {name!r}: has ended already ({status})"}]
     if (n := rows[0]["n"]) >= MAX_COMMANDS - kept:

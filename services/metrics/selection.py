@@ -15,6 +15,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 ALL = "all"  # as the name of a run: every run once
 PARAMETERS = ("run", "scenario", "strategy", "seed", "target", "dwells", "limit", "offset")
 MAX_NUMBER = 2**63 - 1
+LISTING = "`cogradar query runs` lists those that are there"
 GUESSES = 1000  # runs among which one of a similar name is looked for
 Run = dict[str, Any]  # a row of the table `run`, without its document
 
@@ -137,7 +138,7 @@ def selected(store: Store, selection: Selection) -> list[Run]:
     if runs:
         _check(selection, runs)
     elif set(selection.filters) == {"run"}:
-        raise BadInput(f"run = {selection.run!r}: no such run{_meant(store, 'run', selection.run)}")
+        raise BadInput(f"run = {selection.run!r}: no such run{_meant(store, 'run', selection.run) or f'; {LISTING}'}")
     elif selection.filters:
         chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
         raise BadInput(f"no run with {chosen}{_meant(store, 'scenario', selection.scenario)}")

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
+from cogradar.services.metrics.selection import LISTING
 from cogradar.shared.protocol.messages import RunCancel
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.bus import Bus
@@ -57,7 +58,7 @@ def _unconfirmed(session: Session, run: str) -> str:
 def check_running(session: Session, run: str) -> None:
     """Raises BadInput unless a run goes on."""
     if (found := status(session, run)) == "unknown":
-        raise BadInput(f"{run}: no such run")
+        raise BadInput(f"{run}: no such run; {LISTING}")
     if found != "running":
         raise BadInput(f"{run}: has ended already ({found})")
 

@@ -98,7 +98,16 @@ def _value(name: str, text: str) -> str | int | float | None:
         return text
     if (name, text) == ("km", NONE):
         return None
+    is_whole = name in {"track", "dwells"}
     try:
-        return int(text) if name in {"track", "dwells"} else float(text)
+        return int(text) if is_whole else float(text)
     except ValueError:
-        raise ValueError(f"{name} = {text}: must be a number") from None
+        raise ValueError(f"{name} = {text}: must be a {'whole ' * is_whole}number{_meant(text)}") from None
+
+
+def _meant(text: str) -> str:
+    """The fraction that a percentage is."""
+    percent = text.removesuffix("%")
+    if percent == text or not percent.isascii() or not percent.isdecimal():
+        return ""
+    return f" (did you mean {int(percent[:9]) / 100:g}?)"

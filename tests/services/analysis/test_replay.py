@@ -91,6 +91,7 @@ def test_a_run_replays_clean(to: str, each: int, file: Path, store: Store) -> No
     assert replay(_stored(store), to, fed.append) == Replay(agreed=each * n_dwell)
     assert fed == list(range(1, n_dwell + 1))
     done = CliRunner().invoke(app, ["replay", "--store", str(file), "--to", to])
+    assert "the newest run, and no other" in done.stderr
     assert done.exit_code == 0, done.stderr
     assert f"{each * n_dwell} {'plan' if to == 'planner' else 'waveform'}s agree bit for bit" in done.stdout
 

@@ -134,6 +134,7 @@ def test_of_a_single_run_only_what_is_known_is_shown() -> None:
     assert columns["Errors of the belief mean"] == ["target", "strategy", "RMSE km", "RMSE m/s"]
     assert "of a single run there is no interval over runs" in caption(report)
     assert "takes runs as independent" not in caption(report)
+    assert caption(report).endswith(f"digest {report['digest']}, of the results of all these runs together")
     assert heading(report) == f"smoke: {SMOKE.title}"
 
 

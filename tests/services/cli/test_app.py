@@ -247,7 +247,8 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     (row,) = json.loads(_cogradar("query", "runs", "--store", file, "--json").stdout)
     assert (row["status"], row["reason"]) == ("stopped", "by user")
     unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
-    assert (unknown.returncode, unknown.stderr.strip()) == (2, "run = 'nosuchrun': no such run")
+    told = "run = 'nosuchrun': no such run; `cogradar query runs` lists those that are there"
+    assert (unknown.returncode, unknown.stderr.strip()) == (2, told)
 
 
 def test_a_router_that_cannot_listen_does_not_say_that_it_does() -> None:

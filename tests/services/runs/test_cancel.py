@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from cogradar.services.errors import Interrupted, RunFailed
+from cogradar.services.metrics.selection import LISTING
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cancel as cancelling
@@ -194,7 +195,7 @@ def test_a_run_that_was_left_alone_is_cancelled_by_name(endpoint: str) -> None:
 def test_a_run_that_there_is_not_cannot_be_cancelled(endpoint: str) -> None:
     for name in ("nobody", "../*", "a b"):
         done = _cogradar("cancel", name, "--connect", endpoint)
-        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{name}: no such run\n")
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{name}: no such run; {LISTING}\n")
 
 
 @pytest.mark.zenoh

@@ -82,7 +82,10 @@ def test_a_command_is_granted_and_listed_with_who_asked(metrics: MetricsCore) ->
     assert {name: row[name] for name in expected} == expected
     assert _get(app, "/api/v1/runs/r/commands") == [row]
     refused = _post(app, "r", json={"action": "drop 7"})
-    assert (refused.status_code, refused.json()["detail"]) == (409, "refused: there is no track 7")
+    assert (refused.status_code, refused.json()["detail"]) == (
+        409,
+        "refused: there is no track 7; those that are there: none",
+    )
     assert [one["state"] for one in _get(app, "/api/v1/runs/r/commands")] == ["pending", "refused"]
     assert _get(app, "/api/v1/runs/r/commands?state=open") == [row]
 
