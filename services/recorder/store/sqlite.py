@@ -125,20 +125,17 @@ class SqliteConnection:
 
     def execute(self, statement: str, parameters: Sequence[Any]) -> int:
         """Execute a statement; the number of rows that it changed."""
-        with self._stated():
-            return self.db.execute(statement, parameters).rowcount
-
-    @contextmanager
-    def _stated(self) -> Iterator[None]:
-        """A statement. Some faults undo the whole transaction: damage, too, is then a reason to begin again."""
         self._limit.begin()
-        was_in_transaction = self.db.in_transaction
+        is_begun = self.db.in_transaction
         try:
-            yield
+            return self.db.execute(statement, parameters).rowcount
         except sqlite3.Error as error:
-            found = failure(self.name, error)
-            is_undone = was_in_transaction and not self.db.in_transaction
-            raise NoRoom(str(found)) if is_undone else found from None
+            raise self._failure(error, is_begun=is_begun) from None
+
+    def _failure(self, error: sqlite3.Error, *, is_begun: bool) -> StoreFailed:
+        """Of a change. Some faults undo the whole transaction: damage, too, is then a reason to begin again."""
+        found = failure(self.name, error)
+        return NoRoom(str(found)) if is_begun and not self.db.in_transaction else found
 
     @contextmanager
     def part(self) -> Iterator[None]:
@@ -147,8 +144,12 @@ class SqliteConnection:
 
     def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement for each of these rows."""
-        with self._stated():
+        self._limit.begin()
+        is_begun = self.db.in_transaction
+        try:
             self.db.executemany(statement, rows)
+        except sqlite3.Error as error:
+            raise self._failure(error, is_begun=is_begun) from None
 
     def rows(self, query: str, parameters: Sequence[Any]) -> list[Any]:
         """Rows of a SELECT, which can be indexed."""
