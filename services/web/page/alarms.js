@@ -12,7 +12,6 @@ const SILENT_DWELLS = 5;
 const LOCKSTEP_MS = 6000; // ... where no rate says when the next one is due
 const LATELY = 20; // dwells over which shares are counted
 const ROLES_MS = 5000; // between two looks at the processes of a run that seems well
-const REFUSED_MS = 60_000; // ... if the service has no router that it could ask
 const START_S = 5; // from the start of a process to its first dwell
 const SOON_DAYS = 30;
 const SLOW = 0.5; // of a dwell, after which a scan leaves too little for the plans
@@ -21,10 +20,9 @@ const ALARMING = 0.05; // of plans that are late, of waveforms that are stale, o
 export class Alarms {
   constructor(session) {
     Object.assign(this, { session, run: null, news: 0, since: 0, found: null, cause: null, ending: [], askAt: 0 });
-    this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer, problem) => {
+    this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer) => {
       Object.assign(this, { found: answer, foundAt: performance.now() });
       this.ending = answer ? endingOf(answer.processes) : this.ending;
-      if (problem) this.askAt = performance.now() + REFUSED_MS;
     });
     setInterval(() => document.hidden || this.look(), EVERY_MS);
   }
@@ -46,7 +44,7 @@ export class Alarms {
     const silent = now - this.since;
     const isSilent = silent > (radar.rate_hz ? Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / radar.rate_hz) : LOCKSTEP_MS);
     session.silent(isSilent);
-    if (late || isSilent || now >= this.askAt) {
+    if (late || isSilent || (radar.has_processes && now >= this.askAt)) {
       this.askAt = now + ROLES_MS;
       this.latest.want();
     }

@@ -14,7 +14,7 @@ from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
 from cogradar.services.web.maps.surroundings import surroundings
 from cogradar.services.web.problem_documents import bad, missing
-from cogradar.services.web.run_answers import Question, about_run
+from cogradar.services.web.run_answers import Question, about_run, core_of
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
@@ -93,10 +93,11 @@ def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @about_run()
-def radar(_: Request, question: Question) -> Response:
+def radar(request: Request, question: Question) -> Response:
     """What does not change in a run."""
     known = facts(question.store, question.run, is_scored=False)
-    return JSONResponse(_of_run(known), headers=question.headers)
+    has_processes = core_of(request).gather is not None
+    return JSONResponse(_of_run(known) | {"has_processes": has_processes}, headers=question.headers)
 
 
 def _around(site: SiteSection, range_km: float) -> dict[str, Any] | None:

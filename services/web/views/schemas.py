@@ -235,6 +235,7 @@ class Radar(Document):
     bin_edges_deg: list[float]
     max_range_km: float
     has_truth: bool
+    has_processes: bool = Field(description="The service has a router, and says at /processes how processes do.")
     threshold: float
     p_fa: float
     fidelity: str

@@ -42,6 +42,7 @@ def test_what_does_not_change_in_a_run_is_its_scenario(web: httpx.Client, sent: 
     ranges = [np.hypot(state[0], state[2]) for truth in sent if isinstance(truth, Truth) for state in truth.states]
     assert found["max_range_km"] >= max(ranges)
     assert (found["has_truth"], get(web, "blind/radar")["has_truth"]) == (True, False)
+    assert found["has_processes"]
 
 
 def test_a_dwell_is_what_was_sent_in_it(web: httpx.Client, sent: list[Message]) -> None:
