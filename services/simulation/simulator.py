@@ -40,6 +40,7 @@ SETTLED_S = 15.0  # of the end of the last fault, or of the last dwell: all shar
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
 DISK, RECORDER = 2, "recorder-0"  # the disk's place among the generators of a schedule
+MAX_AHEAD_DWELLS = pacing.MAX_AHEAD_DWELLS  # of a run without commands
 _SWITCHED = {Kind.FULL, Kind.SLOW, Kind.RECEIVER, Kind.SUCCESSOR, Kind.BROKEN, Kind.REMOVED}  # on, and off again
 Fingerprints = dict[str, tuple[object, ...]]
 
@@ -72,8 +73,9 @@ def _often(schedule: Schedule) -> Iterator[None]:
     """
     before = core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS, pacing.MAX_AHEAD_DWELLS
     core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = schedule.checkpoint_dwells, schedule.snapshot_dwells
-    if schedule.commands and not schedule.pacing.has_deadlines:
-        pacing.MAX_AHEAD_DWELLS = AHEAD_DWELLS
+    # Also where it stays what it is elsewhere: what a run is compared with is played within the play of that run.
+    is_short = schedule.commands and not schedule.pacing.has_deadlines
+    pacing.MAX_AHEAD_DWELLS = AHEAD_DWELLS if is_short else MAX_AHEAD_DWELLS
     try:
         yield
     finally:

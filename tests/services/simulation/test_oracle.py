@@ -14,7 +14,7 @@ from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.simulation import checks, memory, trials
 from cogradar.services.simulation.memory import Impure, Memory
 from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind
-from cogradar.services.simulation.simulator import Outcome, play
+from cogradar.services.simulation.simulator import Outcome, _often, play, undisturbed
 from cogradar.shared.protocol.orders import Pause, PowerLimit
 from cogradar.shared.wire.pool.shares import Shares
 from tests.services.simulation.plain import PLAIN
@@ -111,6 +111,15 @@ def test_of_two_frozen_recorders_each_keeps_its_journal_open() -> None:
     )
     often = {"run_seed": 4, "planners": 1, "checkpoint_dwells": 2, "snapshot_dwells": 2}
     assert _played(second, first, **often).violation == ""
+
+
+def test_what_a_run_is_compared_with_is_played_by_settings_of_its_own() -> None:
+    """A run without commands was played within one with commands, waited for checkpoints, and was a violation."""
+    undisturbed.cache_clear()
+    commanded = replace(PLAIN, commands=(Asked(0, Pause(dwells=2), 3),))
+    with _often(commanded):
+        assert undisturbed(commanded.plain())
+    undisturbed.cache_clear()
 
 
 def test_of_a_waveform_without_power_less_is_the_same() -> None:
