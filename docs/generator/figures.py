@@ -70,7 +70,7 @@ def parts() -> Figure:
     """What each part buys: the least detected target and the largest error, without the part and with it."""
     figure = Figure(figsize=(7.2, 0.9 + 0.42 * len(PARTS)), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    values = (("P_D", "lowest $P_D$ of a target, last dwells"), ("largest RMSE km", "largest RMSE of one, km"))
+    values = (("P_D", "lowest $P_D$ of a target, last dwells"), ("RMSE km", "largest RMSE of one, km"))
     for axes, (column, label) in zip(panels, values, strict=True):
         for y, table in enumerate(reversed(PARTS.values())):
             kept = [row for row in rows(table) if row["strategy"] == "power-aware"]
