@@ -24,7 +24,7 @@ from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
-from cogradar.services.runs.run import BLIND
+from cogradar.services.runs.run import BLIND, window
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.document import ScenarioError
 from cogradar.shared.scenario.files import load
@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
 LAST = 20  # dwells at the end, over which strategies are compared
-WINDOW, ROWS = 50, 40  # dwells per row in time, or more of them, so that there are no more rows
+ROWS = 40  # in time, at most
 WAVEFORMS = 16  # of each run, for the powers of the antennas
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
@@ -139,7 +139,7 @@ def last_dwells(dwells: int) -> tuple[int, int]:
 
 def _windows(dwells: int) -> list[tuple[int, int]]:
     """First and last dwell of each row in time, and of the whole run."""
-    width = WINDOW * math.ceil(dwells / (WINDOW * ROWS))
+    width = window(dwells, ROWS)
     parts = [(first, min(first + width - 1, dwells)) for first in range(1, dwells + 1, width)]
     return parts if len(parts) == 1 else [*parts, (1, dwells)]
 

@@ -102,7 +102,7 @@ class Result:
         return self.picture.get("gospa_km") is not None or any(row["p_d"] is not None for row in self.targets)
 
 
-WINDOW, ROWS = 50, 6  # dwells per row of the table, or more of them, so that it has no more rows
+WINDOW, ROWS = 50, 6  # dwells in a row of the table; rows at most: a long run has longer ones
 # Columns of it.
 BLIND = ("blind_cells", "blind_dwells", "blind_share", "unmeasured_looks", "unmeasured_dwells")
 PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks", *BLIND)
@@ -187,9 +187,9 @@ def progress(ask: Ask, start: RunStart, before: Progress | None = None) -> Progr
     )
 
 
-def window(dwells: int) -> int:
-    """Dwells per row of the table of a run of so many."""
-    return WINDOW * math.ceil(dwells / (WINDOW * ROWS))
+def window(dwells: int, rows: int = ROWS) -> int:
+    """Dwells in each row of a table of a run with so many dwells, which has this many rows at most."""
+    return WINDOW * math.ceil(dwells / (WINDOW * rows))
 
 
 def result(ask: Ask, start: RunStart, began: float) -> Result | None:

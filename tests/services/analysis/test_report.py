@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from cogradar.services.analysis.report import ROWS, WINDOW, _windows, report
+from cogradar.services.analysis.report import ROWS, _windows, report
 from cogradar.services.analysis.report_tables import caption, heading, tables, verdict, write
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.experiments import experiments
@@ -18,6 +18,7 @@ from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.store.tables import Recording
+from cogradar.services.runs.run import WINDOW
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Message, RunCancel
 from cogradar.shared.protocol.orders import EndRun, Order
