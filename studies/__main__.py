@@ -195,14 +195,19 @@ def soak(
 
 @app.command()
 def endless(
-    minutes: Annotated[float, typer.Option(min=0.1, max=100_000, help="How long.")] = 10.0, as_json: JsonOption = False
+    minutes: Annotated[float, typer.Option(min=0.1, max=100_000, help="How long.")] = 10.0,
+    dwells: Annotated[
+        int | None, typer.Option(min=1, max=100_000_000, help="How many in place of how long; a week has 6 048 000.")
+    ] = None,
+    store: Annotated[str | None, typer.Option(help="File to keep the run in, and to go on from.")] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Play a run without an end as fast as it goes; exit code 1 if what is held, or the CPU time of a dwell, grows."""
     from studies.soak import endless as study
 
     with command() as stop:
         with _measuring(stop, as_json=as_json) as tell:
-            found = study.play(minutes, 1, tell, stop)
+            found = study.play(minutes, 1, tell, stop, dwells, store)
         _show([found.table()], found.as_json(), as_json=as_json)
         if found.faults:
             raise RunFailed("\n".join(found.faults))

@@ -1,12 +1,15 @@
 """A run without an end, as fast as one process plays it: what it holds and what a dwell costs must not grow.
 
 The cores are the real ones, with metrics beside them that scores every dwell. The journal is a file that is cut behind
-the run. It stands for weeks at 10 Hz: nothing in it knows how fast the clock on the wall goes.
+the run. It stands for weeks at 10 Hz: nothing in it knows how fast the clock on the wall goes. With a store it goes on
+where it was stopped, as a restart of everything does.
 """
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
@@ -37,6 +40,7 @@ from cogradar.shared.wire.runner import Core, handle, step
 SETTINGS = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2", "world.repeat_s=60")
 KEEP = Retention(bytes_of_run=20_000_000)
 SAMPLE_DWELLS = 500
+RATE_HZ = 10.0  # at which the days are said
 WHAT = {"rss_mib": "memory", "journal_mib": "journal", "p50_ms": "CPU of a dwell, half", "p99_ms": "... 99 %"}
 GROWTH, SLACK = 0.1, {"MiB": 8.0, "ms": 2.0}  # from the middle third to the last one: a share, or so much
 
@@ -60,6 +64,7 @@ class Sample:
     """What there is after so many dwells."""
 
     dwells: int
+    start: int  # of the processes, from 0: what they hold begins anew
     rss_mib: float
     journal_mib: float
     p50_ms: float
@@ -112,16 +117,25 @@ class Endless:
         return Table(caption, columns, self.thirds())
 
 
-def play(minutes: float, seed: int, notify: Callable[[str], None], stop: threading.Event) -> Endless:
-    """Play for so long. Raises Interrupted, BadInput."""
+def play(
+    minutes: float,
+    seed: int,
+    notify: Callable[[str], None],
+    stop: threading.Event,
+    dwells: int | None = None,
+    store: str | None = None,
+) -> Endless:
+    """Play for so long, or so many dwells, those of a store that is there with them. Raises Interrupted, BadInput."""
     if not Path("/proc/self/status").exists():
         raise BadInput("endless reads /proc, which this system does not have")
-    with scratch() as folder:
-        store, began, samples = Path(folder) / "run.db", time.monotonic(), list[Sample]()
-        journal, emulator = Journal(str(store)), Timed(EmulatorCore(open_front_end("simulated")))
-        metrics = MetricsCore(str(store))
+    with scratch() if store is None else nullcontext(store) as place:
+        path = Path(place) / "run.db" if store is None else Path(place)
+        samples = _kept(path)
+        start = samples[-1].start + 1 if samples else 0
+        began, journal = time.monotonic(), Journal(str(path))
+        emulator, metrics = Timed(EmulatorCore(open_front_end("simulated"))), MetricsCore(str(path))
         cores: dict[Role, Core] = {
-            Role.RECORDER: RecorderCore(journal, keep=KEEP),
+            Role.RECORDER: RecorderCore(journal, resume=True, keep=KEEP),
             Role.EMULATOR: emulator,
             Role.PLANNER: PlannerCore("planner-0"),
             Role.ALLOCATOR: AllocatorCore(),
@@ -129,20 +143,45 @@ def play(minutes: float, seed: int, notify: Callable[[str], None], stop: threadi
         }
         network = LocalNetwork()
         endpoints = [(core, network.endpoint(role, f"{role}-0")) for role, core in cores.items()]
-        network.deliver(RunStart.of(load("smoke", SETTINGS), Strategy.POWER_AWARE, seed, NO_END))
-        while (passed_s := time.monotonic() - began) < 60.0 * minutes or not samples:
-            if not _turn(endpoints):
-                for core, bus in endpoints:
-                    handle(core, bus, Tick(time.monotonic()))
-            check_stop(stop)
-            if len(emulator.times_s) > SAMPLE_DWELLS:
-                before = samples[-1].dwells if samples else 0
-                samples.append(_sample(journal, store, before, emulator.times_s))
-                emulator.times_s = emulator.times_s[-1:]
-                notify(f"{samples[-1].dwells} dwells in {passed_s / 60.0:.1f} of {minutes:g} min")
-        metrics.close()
-        journal.close()
+        if not journal.read("SELECT 1 FROM run"):
+            network.deliver(RunStart.of(load("smoke", SETTINGS), Strategy.POWER_AWARE, seed, NO_END))
+        try:
+            while not samples or (samples[-1].dwells < dwells if dwells else time.monotonic() - began < 60.0 * minutes):
+                if not _turn(endpoints):
+                    for core, bus in endpoints:
+                        handle(core, bus, Tick(time.monotonic()))
+                check_stop(stop, "" if store is None else f"; {store} keeps what was played")
+                if len(emulator.times_s) > SAMPLE_DWELLS:
+                    samples.append(_sample(journal, path, start, emulator.times_s))
+                    emulator.times_s = emulator.times_s[-1:]
+                    _keep(path, samples[-1])
+                    days = samples[-1].dwells / RATE_HZ / 86400.0
+                    notify(f"{samples[-1].dwells} dwells, {days:.2f} days at {RATE_HZ:g} Hz")
+        finally:
+            metrics.close()
+            journal.close()
     return Endless(minutes, samples)
+
+
+def _samples_of(store: Path) -> Path:
+    return Path(f"{store}.samples.jsonl")
+
+
+def _keep(store: Path, sample: Sample) -> None:
+    with _samples_of(store).open("a", encoding="utf-8") as file:
+        file.write(json.dumps(asdict(sample)) + "\n")
+
+
+def _kept(store: Path) -> list[Sample]:
+    """What was sampled before; the end of a line that was cut off is left out. Raises BadInput."""
+    path = _samples_of(store)
+    if store.exists() and not path.exists():
+        raise BadInput(f"{store}: there is no {path.name} beside it, so it is no store of this study; name another")
+    path.touch()
+    try:
+        return [Sample(**json.loads(line)) for line in path.read_text(encoding="utf-8").split("\n")[:-1]]
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"{path}: no samples of this study: {error}") from None
 
 
 def _turn(endpoints: Iterable[tuple[Core, Bus]]) -> bool:
@@ -154,14 +193,15 @@ def _turn(endpoints: Iterable[tuple[Core, Bus]]) -> bool:
     return busy
 
 
-def _sample(journal: Journal, store: Path, before: int, times_s: Sequence[float]) -> Sample:
+def _sample(journal: Journal, store: Path, start: int, times_s: Sequence[float]) -> Sample:
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines())
     files = [file for end in ("", "-wal") if (file := Path(f"{store}{end}")).exists()]
     took_ms = 1e3 * np.diff(times_s)
-    (row,) = journal.read("SELECT acknowledged_k - kept_k AS kept FROM run")
+    (row,) = journal.read("SELECT acknowledged_k AS k, acknowledged_k - kept_k AS kept FROM run")
     (item,) = journal.read("SELECT MAX(item) AS track FROM message WHERE topic = 'plan'")
     return Sample(
-        before + took_ms.size,
+        row["k"],
+        start,
         int(status["VmRSS"].split()[0]) / 1024,
         sum(file.stat().st_size for file in files) / 2**20,
         float(np.quantile(took_ms, 0.5)),

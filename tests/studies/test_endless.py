@@ -1,0 +1,31 @@
+"""A run without an end that is stopped goes on from its store."""
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from cogradar.services.errors import BadInput, Interrupted
+from studies.soak import endless
+
+
+def test_a_run_that_was_stopped_goes_on_from_its_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endless, "SAMPLE_DWELLS", 40)
+    store, stop = str(tmp_path / "week.db"), threading.Event()
+    with pytest.raises(Interrupted, match="keeps what was played"):
+        endless.play(10.0, 1, lambda _: stop.set(), stop, store=store)
+    whole = endless.play(10.0, 1, lambda _: None, threading.Event(), dwells=150, store=store).samples
+    assert [sample.start for sample in whole] == [0] + [1] * (len(whole) - 1)
+    assert 0 < whole[0].dwells < whole[1].dwells < whole[2].dwells
+    assert whole[-2].dwells < 150 <= whole[-1].dwells == whole[-1].kept
+    assert whole[-1].next_track > whole[0].next_track
+
+
+def test_a_store_of_something_else_is_refused(tmp_path: Path) -> None:
+    store = tmp_path / "week.db"
+    store.write_text("")
+    with pytest.raises(BadInput, match=r"no week\.db\.samples\.jsonl beside it"):
+        endless.play(1.0, 1, lambda _: None, threading.Event(), store=str(store))
+    (tmp_path / "week.db.samples.jsonl").write_text('{"dwells": 3}\n')
+    with pytest.raises(BadInput, match="no samples of this study"):
+        endless.play(1.0, 1, lambda _: None, threading.Event(), store=str(store))
