@@ -125,7 +125,7 @@ def play(
     dwells: int | None = None,
     store: str | None = None,
 ) -> Endless:
-    """Play for so long, or so many dwells, those of a store that is there with them. Raises Interrupted, BadInput."""
+    """Play for so long, or so many dwells; what a store has already counts. Raises Interrupted, BadInput."""
     if not Path("/proc/self/status").exists():
         raise BadInput("endless reads /proc, which this system does not have")
     with scratch() if store is None else nullcontext(store) as place:
