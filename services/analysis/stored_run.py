@@ -14,6 +14,7 @@ from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.scan_rows import radiated_k
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.wire.codec import decode
 
@@ -69,8 +70,7 @@ class StoredRun:
             messages = [decode(payload) for payload in payloads]
             scan, truth, waveform = _only(Scan, messages), _only(Truth, messages), _only(Waveform, messages)
             if scan is not None:
-                said = scan.waveform_k if truth is None else truth.waveform_k
-                sent_k = k - 1 if said is None else said
+                sent_k = radiated_k(k, vars(scan), None if truth is None else vars(truth))
                 made = {at: one for at, one in made.items() if at >= sent_k}  # no older one is radiated again
                 plans = [message for message in messages if isinstance(message, Plan)]
                 is_stored = True

@@ -50,9 +50,9 @@ def running(store: Store, most: int) -> list[Row]:
 
 
 def pictures(store: Store, run: str, first: int, last: int, most: int = ALL_ROWS) -> list[Row]:
-    """k, t and the air picture of dwells that have scores."""
+    """k, t, dwell whose waveform was radiated, and the air picture of dwells that have scores."""
     return store.scored(
-        f"SELECT k, t, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
+        f"SELECT k, t, waveform_k, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
         [run, first, last, most],
     )
 
@@ -111,8 +111,10 @@ def followed_by(store: Store, run: str, track: int, ts: Sequence[int]) -> dict[i
 
 
 def track_dwells(store: Store, run: str, track: int, first: int, last: int) -> list[Row]:
-    """k and t of the dwells in which there is a plan of a track."""
-    dwells = store.scored("SELECT k, t FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t", [run, first, last])
+    """k, t and dwell whose waveform was radiated, of the dwells in which there is a plan of a track."""
+    dwells = store.scored(
+        "SELECT k, t, waveform_k FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t", [run, first, last]
+    )
     planned = stored(store, run, "plan", [row["k"] for row in dwells], track, "k")
     there = {row["k"] for row in planned}
     return [row for row in dwells if row["k"] in there]
@@ -166,7 +168,8 @@ def timeline(store: Store, run: str, width: int) -> list[Row]:
 def picture_timeline(store: Store, run: str, width: int) -> list[Row]:
     """A run of an unknown number of tracks in buckets of dwells: all tracks and targets together."""
     return store.scored(
-        "SELECT MIN(t) AS first, MAX(t) AS last, NULL AS detected, NULL AS lost, NULL AS late, NULL AS stale,"
+        "SELECT MIN(t) AS first, MAX(t) AS last, NULL AS detected, NULL AS lost,"
+        " SUM(late) AS late, SUM(waveform_k < k - 1) AS stale,"
         " sqrt(SUM(localisation_km2) / SUM(followed)) AS error_km,"
         " 1.0 - 1.0 * SUM(followed) / SUM(targets) AS missed, SUM(swaps) AS swaps,"
         " sqrt(AVG(localisation_km2 + missed_km2 + false_km2)) AS gospa_km"

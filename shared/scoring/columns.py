@@ -71,7 +71,7 @@ class TargetDwell(NamedTuple):
     covariance: "NDArray[np.float64] | None"  # of the track's belief, (4, 4)
     signature_power: float | None
     late: bool
-    stale: bool | None
+    stale: bool
     hit: bool | None
     best_bin: int | None
     outage: int | None
@@ -96,6 +96,8 @@ class PictureDwell(NamedTuple):
     tested: int
     blind: int
     unmeasured: int
+    waveform_k: int
+    late: int
     total: Totals | None  # None without truth
 
     def __getattr__(self, name: str) -> float | None:
@@ -157,9 +159,7 @@ SCORE = (
     Column(
         "late", FLAG, "0, 1", "the track's plan came too late and an older one was extrapolated", null=False, mean=True
     ),
-    Column(
-        "stale", FLAG, "0, 1", "the waveform came too late and an older one was radiated, null without truth", mean=True
-    ),
+    Column("stale", FLAG, "0, 1", "the waveform came too late and an older one was radiated", null=False, mean=True),
     Column("hit", FLAG, "0, 1", "the true bin, or within half a bin of it, was lit for the track, null without truth"),
     Column(
         "best_bin",
@@ -248,6 +248,8 @@ PICTURE = (
     Column("tested", COUNT, "cells", "that the scan reports, where something was sent", null=False),
     Column("blind", COUNT, "cells", "of them, those whose noise has no estimate, their statistic is 0", null=False),
     Column("unmeasured", COUNT, "looks", "that were asked for and that the front end did not measure", null=False),
+    Column("waveform_k", COUNT, "", "dwell k whose waveform was radiated, below k - 1 if it is stale", null=False),
+    Column("late", COUNT, "tracks", "whose plan came too late and an older one was extrapolated", null=False),
 )
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 # What answers and arrays have; the power that a target met is for the floor under its error.

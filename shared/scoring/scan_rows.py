@@ -131,6 +131,15 @@ def is_tested(scan: MessageFields) -> Bools:
     return np.asarray(scan["signature_power"] > 0.0)
 
 
+def radiated_k(k: int, scan: MessageFields, truth: MessageFields | None) -> int:
+    """Dwell whose waveform was radiated in dwell k, as its truth or else its scan says: k - 1, or less if it is stale.
+
+    -1 : there was none yet
+    """
+    said = scan.get("waveform_k") if truth is None else truth["waveform_k"]
+    return k - 1 if said is None else int(said)
+
+
 def tracks_in(fields: MessageFields) -> NDArray[np.integer[Any]]:
     """The tracks of a scan or a waveform, counted from 0, in the order of their rows of beams, gates and shares."""
     roster = fields.get("roster")

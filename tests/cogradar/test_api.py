@@ -85,7 +85,7 @@ def test_without_truth_there_is_nothing_to_compare_with(file: str) -> None:
     blind = cogradar.Runs(partial(answer, store)).result()
     assert not blind.has_truth
     assert np.array_equal(blind.estimates.shape, (DWELLS, TARGETS, 4))
-    for unknown in ("true_states", "true_bins", "snr_db", "stale", "p_d", "p_d_interval", "position_rmse_km"):
+    for unknown in ("true_states", "true_bins", "snr_db", "p_d", "p_d_interval", "position_rmse_km"):
         with pytest.raises(cogradar.BadInput, match=f"{start.run}: there is no truth"):
             getattr(blind, unknown)
     store.close()

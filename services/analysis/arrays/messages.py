@@ -77,7 +77,7 @@ class OfTargets(NamedTuple):
         return found
 
 
-def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) -> tuple[Floats, Complexes]:
+def radiated(found: Iterable[Waveform | Truth | Scan], ks: Sequence[int], n_tx: int) -> tuple[Floats, Complexes]:
     """What each dwell k radiated, isotropic power (T,) and factor (T, n_tx, r); NaN where that is not stored."""
     sent = sent_in(found, ks)
     rank = max((waveform.factor.shape[1] for waveform in sent if waveform is not None), default=0)

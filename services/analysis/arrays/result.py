@@ -148,8 +148,7 @@ class Result:
 
     @property
     def stale(self) -> Bools:
-        """The waveform came too late, and an older one was radiated, (T, M); known with the truth only."""
-        self._known_truth()
+        """The waveform came too late, and an older one was radiated, (T, M)."""
         return self.column("stale")
 
     @property
@@ -311,7 +310,7 @@ class Result:
     def by_track(self) -> Tracks:
         """All tracks that ever were, whatever they follow: of an unknown number they begin and end (`Tracks`)."""
         ks = self._scores[1].tolist()
-        plans, sent = self._stored_of(Plan), sent_in(self._stored_of(Waveform, Truth), ks)
+        plans, sent = self._stored_of(Plan), sent_in(self._stored_of(Waveform, Truth, Scan), ks)
         return Tracks.of(plans, sent, ks, self._column("track"))
 
     def dwells(self) -> Iterator[Dwell]:
@@ -417,7 +416,7 @@ class Result:
     def _sent(self) -> dict[int, Waveform]:
         """What was radiated in each dwell k, as far as it is stored."""
         ks = [scan.k for scan in self._stored_of(Scan)]
-        sent = sent_in(self._stored_of(Waveform, Truth), ks)
+        sent = sent_in(self._stored_of(Waveform, Truth, Scan), ks)
         return {k: one for k, one in zip(ks, sent, strict=True) if one is not None}
 
     @cached_property
@@ -427,4 +426,6 @@ class Result:
     @cached_property
     def _waveforms(self) -> tuple[Floats, NDArray[np.complex128]]:
         """What each dwell radiated; NaN where that is not stored."""
-        return radiated(self._stored_of(Waveform, Truth), self._scores[1].tolist(), self.scenario.radar.array.n_tx)
+        return radiated(
+            self._stored_of(Waveform, Truth, Scan), self._scores[1].tolist(), self.scenario.radar.array.n_tx
+        )

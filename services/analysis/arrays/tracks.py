@@ -6,8 +6,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.protocol.messages import Plan, Truth, Waveform
-from cogradar.shared.scoring.scan_rows import row_of_track
+from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.scoring.scan_rows import radiated_k, row_of_track
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -67,9 +67,10 @@ class Tracks(NamedTuple):
             self.shares[at] = sent.shares[row].sum()
 
 
-def sent_in(found: Iterable[Waveform | Truth], ks: Sequence[int]) -> list[Waveform | None]:
-    """The waveform that each dwell k radiated; None: it is not stored."""
+def sent_in(found: Iterable[Waveform | Truth | Scan], ks: Sequence[int]) -> list[Waveform | None]:
+    """The waveform that each dwell k radiated, of these scans; None: it is not stored."""
     messages = list(found)
     waveforms = {message.k: message for message in messages if isinstance(message, Waveform)}
-    sent_k = {message.k: message.waveform_k for message in messages if isinstance(message, Truth)}
-    return [waveforms.get(sent_k.get(k, k - 1)) for k in ks]
+    truths = {message.k: vars(message) for message in messages if isinstance(message, Truth)}
+    scans = {message.k: vars(message) for message in messages if isinstance(message, Scan)}
+    return [waveforms.get(radiated_k(k, scans.get(k, {}), truths.get(k))) for k in ks]

@@ -124,11 +124,10 @@ def scores(result: Result) -> Table:
             found |= {"range_measured_km": measured.range_km}
         columns |= {name: rows.of(values, nan) for name, values in found.items()}
     columns |= {"share": rows.of(result.shares, 0.0, tracks.shares)}
-    columns |= {"late": rows.of(result.late, -1)}
+    columns |= {"late": rows.of(result.late, -1), "stale": rows.of(result.stale, -1)}
     if result.has_truth:
         in_bin = result.present & (result.best_bins == result.true_bins)
-        flags = {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
-        flags |= {"visible": result.column("visible")}
+        flags = {"hit": result.hits, "in_bin": in_bin, "visible": result.column("visible")}
         columns |= {name: rows.of(values, -1) for name, values in flags.items()}
         columns |= {"outage": rows.of(result.outages, 0)}
         of_belief = ("nees", "nees_position", "nees_velocity")

@@ -14,17 +14,17 @@ MOST = 256  # waveforms of an answer: 0.5 ms each with 100 antennas
 class AntennaPowers(NamedTuple):
     """Of n waveforms of a run."""
 
-    ts: NDArray[np.int64]  # (n,) dwells that they were made for
+    ts: NDArray[np.int64]  # (n,) dwells that radiated them
     powers: NDArray[np.float64]  # (n, n_tx)
     papr_db: NDArray[np.float64]  # (n, n_tx) peak over mean power (`signal.waveform.peak_to_average_db`)
 
     @classmethod
     def of(cls, store: Store, run: str, first: int | None, last: int | None, most: int = MOST) -> Self:
-        """Of those for the dwells first .. last that are stored, `most` at equal steps if there are more."""
+        """Of those in the dwells first .. last that are stored, `most` at equal steps if there are more."""
         from cogradar.shared.signal.waveform import antenna_powers, peak_to_average_db
 
         dwells = store.scored(
-            "SELECT t, k - 1 AS k FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t",
+            "SELECT t, waveform_k AS k FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t",
             [run, first or 0, 2**31 if last is None else last],
         )
         there = {row["k"] for row in stored(store, run, "waveform", [row["k"] for row in dwells], 0, "k")}
@@ -32,7 +32,8 @@ class AntennaPowers(NamedTuple):
         found = found[:: -(-len(found) // most)] if found else []
         powers, papr_db = list[NDArray[np.float64]](), list[NDArray[np.float64]]()
         for some in pieces(found):
-            for _, one in sorted(messages(store, run, "waveform", [row["k"] for row in some]).items()):
+            stored_here = messages(store, run, "waveform", [row["k"] for row in some])
+            for one in (stored_here[row["k"]] for row in some):  # a stale one was radiated again
                 sent = one["isotropic"], one["factor"].astype(np.complex128)
                 powers.append(antenna_powers(*sent))
                 papr_db.append(peak_to_average_db(*sent))

@@ -68,9 +68,13 @@ class Scorer:
         if scan is None or (truth is None and self._has_truth):
             return None
         accelerations = self._accelerations(truth)
-        sent_k = k - 1 if truth is None else truth["waveform_k"]
+        from cogradar.shared.scoring.scan_rows import radiated_k
+
+        sent_k, places = radiated_k(k, scan, truth), _rows_of(scan)
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
-        places = _rows_of(scan)
+        sent = self._waveforms.get(sent_k)
+        if sent is not None and _rows_of(sent) != places:  # it is not known which waveform was radiated
+            sent = None
         self._plans = {track: self._plans[track] for track in places if track in self._plans}
         self._now = {track: coasted(plan, k, self._motion) for track, plan in self._plans.items()}
         plans = [plan for plan in self._now.values() if _is_shown(plan)]
@@ -79,9 +83,11 @@ class Scorer:
         best_bins |= {track: self._born_bin(scan, places[track]) for track in self._plans.keys() - best_bins.keys()}
         picture, followers = self._picture.advance(scan["t"], plans, truth)
         tracks = self._pairing.tracks(followers)
-        targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, scan, truth, best_bins, sent_k, accelerations)]
+        said = scan, truth, sent, sent_k != k - 1
+        targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, said, best_bins, accelerations)]
         n_track, began, total = picture
-        counts = (n_track, began, *_cell_counts(scan), total)
+        n_late = 0 if sent is None else int((sent["late"] > 0).sum())
+        counts = (n_track, began, *_cell_counts(scan), sent_k, n_late, total)
         return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *counts)))
 
     def _born_bin(self, scan: MessageFields, row: int) -> int:
@@ -104,17 +110,15 @@ class Scorer:
         self,
         k: int,
         tracks: list[int | None],
-        scan: MessageFields,
-        truth: MessageFields | None,
+        said: tuple[MessageFields, MessageFields | None, MessageFields | None, bool],
         best_bins: Mapping[int, int],
-        sent_k: int,
         accelerations: Sequence[float | None],
     ) -> list[TargetDwell]:
-        sent, places, rows = self._waveforms.get(sent_k), _rows_of(scan), []
+        """A row for each target; said: scan, truth, the waveform that was radiated, and whether it was stale."""
+        (scan, truth, sent, is_stale), rows = said, list[TargetDwell]()
+        places = _rows_of(scan)
         beams = [-1 if track is None else places[track] for track in tracks]
         seen = None if truth is None else self._seen(scan, truth, beams)
-        if sent is not None and _rows_of(sent) != places:  # it is not known which waveform was radiated
-            sent = None
         for target, track in enumerate(tracks):
             lit = None if track is None else places[track]  # row of its beams
             cells = [] if lit is None else _cells(scan, sent, lit)
@@ -148,7 +152,7 @@ class Scorer:
                     late=sent is not None
                     and lit is not None
                     and bool(sent["late"][lit]),  # an extrapolated plan's beam
-                    stale=None if truth is None else truth["waveform_k"] != k - 1,  # an older waveform was radiated
+                    stale=is_stale,
                     hit=hit,
                     best_bin=best_bin,
                     outage=self._outages[target] if may_be_out else None,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 20
+SCHEMA_VERSION = 21
 MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
 MEMORY = ":memory:"
 KINDS = {"TEXT": "text", "INTEGER": "bigint", "REAL": "double precision", "BLOB": "bytea"}  # of SQLite, and here

@@ -111,9 +111,8 @@ function lately(dwells) {
   const targets = dwells.flatMap((dwell) => dwell.targets.filter((one) => one.late !== null && !one.is_over));
   const blind = dwells.flatMap((dwell) => dwell.cells?.blind ?? []);
   const looks = dwells.flatMap(({ cells }) => cells ? [...cells.bin.map(() => false), ...(cells.unmeasured ?? []).map(() => true)] : []);
-  const stale = dwells.filter((dwell) => dwell.stale !== null);
   const share = (all, is) => (all.length ? all.filter(is).length / all.length : 0);
-  const [late, old, unseeing, unmeasured] = [share(targets, (one) => one.late), share(stale, (one) => one.stale), share(blind, (one) => one), share(looks, (one) => one)];
+  const [late, old, unseeing, unmeasured] = [share(targets, (one) => one.late), share(dwells, (one) => one.stale), share(blind, (one) => one), share(looks, (one) => one)];
   const found = [late > ALARMING ? `${fixed(100 * late, 0)} % of the plans are late` : ""];
   if (old > ALARMING) found.push(`${fixed(100 * old, 0)} % of the waveforms are stale`);
   if (unseeing > ALARMING) found.push(`${fixed(100 * unseeing, 0)} % of the cells are blind`);

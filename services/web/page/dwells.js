@@ -86,8 +86,8 @@ function byTrack(dwell) {
   if (!dwell.tracks) return dwell;
   const truths = new Map(dwell.targets.map((one) => [one.target, one]));
   const targets = dwell.tracks.map((one) => {
-    const { x = null, y = null, hit = null, true_bin = null, stale = null, snr_db = null } = truths.get(one.target) ?? {};
-    return { ...one, target: one.track, follows: one.target, x, y, hit, true_bin, stale, snr_db, lost: null };
+    const { x = null, y = null, hit = null, true_bin = null, snr_db = null } = truths.get(one.target) ?? {};
+    return { ...one, target: one.track, follows: one.target, x, y, hit, true_bin, stale: dwell.stale, snr_db, lost: null };
   });
   return { ...dwell, targets, truths: dwell.targets.filter((one) => one.x !== null) };
 }

@@ -35,7 +35,6 @@ export class Timeline {
   reset(run, planned, isUnknown) {
     put(this.key.children[0], isUnknown ? "targets without a track" : "not detected");
     put(this.key.children[1], isUnknown ? "swapped" : "lost");
-    this.key.children[2].hidden = isUnknown;
     this.buckets = [];
     this.planned = planned;
     this.since(1);

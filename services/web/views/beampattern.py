@@ -43,11 +43,8 @@ def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
         raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
     k, t = shown[0]["k"], shown[0]["t"]
     rows = queries.targets(store, run, t, t, ("target", "track", "true_bin", "hit"))
-    found = store.dwell(run, k)
-    truth, scan = found["truth"], found["scan"][0] if found["scan"] else None
-    # Stale, if the front end says so; else the waveform of the dwell before.
-    sent_k = truth[0]["waveform_k"] if truth else k - 1
-    waveform = _sent(store, run, sent_k, known.radar.array)
+    scan = next(iter(store.dwell(run, k, ("scan",))["scan"]), None)
+    waveform = _sent(store, run, shown[0]["waveform_k"], known.radar.array)
     if waveform is None:
         raise missing(f"run = {run!r}: the waveform of dwell {t} is not stored")
     roster: Mapping[str, Any] = {} if scan is None else scan.get("roster", {})

@@ -91,14 +91,13 @@ def _of_dwells(
     store: Store, known: Facts, track: int, dwells: Sequence[dict[str, Any]], followed: dict[int, Any]
 ) -> list[dict[str, Any]]:
     run, ks = known.row["run"], [dwell["k"] for dwell in dwells]
-    sent_k = {k: truth["waveform_k"] for k, truth in queries.messages(store, run, "truth", ks).items()}
-    waveforms = queries.messages(store, run, "waveform", [sent_k.get(k, k - 1) for k in ks])
+    waveforms = queries.messages(store, run, "waveform", [dwell["waveform_k"] for dwell in dwells])
     scans, plans = queries.messages(store, run, "scan", ks), queries.messages(store, run, "plan", ks, track)
     found = []
-    for k, t in ((dwell["k"], dwell["t"]) for dwell in dwells):
+    for k, t, sent_k in ((dwell["k"], dwell["t"], dwell["waveform_k"]) for dwell in dwells):
         if k in scans:
             after = plans[k], followed.get(t)
-            one = track_of(known, scans[k], waveforms.get(sent_k.get(k, k - 1)), track - 1, after)
+            one = track_of(known, scans[k], waveforms.get(sent_k), track - 1, after)
             found.append({"t": t, "follows": one["target"], **one})
     return found
 

@@ -148,9 +148,8 @@ def acquisition(store: Store, encoded: Encoded, run: str, k: int) -> bytes:
 
 def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[str, Any]]) -> bytes:
     run, k, t = known.row["run"], picture["k"], picture["t"]
-    stored = store.dwell(run, k, ("plan", "scan", "truth"))
-    sent_k = stored["truth"][0]["waveform_k"] if stored["truth"] else k - 1
-    waveforms = store.dwell(run, sent_k, ("waveform",))["waveform"]
+    stored = store.dwell(run, k, ("plan", "scan"))
+    waveforms = store.dwell(run, picture["waveform_k"], ("waveform",))["waveform"]
     scan = stored["scan"][0] if stored["scan"] else None
     cells, statistics = _cells(known.scan_rows, scan), _statistics(known.scan_rows, rows, scan)
     sent = waveforms[0] if waveforms else None
@@ -169,7 +168,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "k": k,
         "utc_s": _utc_s(known, scan, t),
         "threshold": known.threshold,
-        "stale": None if scan is None else scan.get("waveform_k") is not None,
+        "stale": picture["waveform_k"] != k - 1,
         "isotropic": sent["isotropic"] if sent is not None else None,
         "targets": shown,
         "tracks": tracks,
@@ -177,7 +176,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "cells": cells,
         "orders": _obeyed(sent),
         "false_alarms": _false_alarms(known, rows, scan),
-        "picture": {name: value for name, value in picture.items() if name not in {"k", "t"}},
+        "picture": {name: value for name, value in picture.items() if name not in {"k", "t", "waveform_k"}},
     }
     return to_json(data, inf_nan_mode="null")
 

@@ -162,7 +162,7 @@ class DwellEvent(Document):
         description="Since 1970 in UTC: as the front end says, or `[site]` if it says when the run begins."
     )
     threshold: float
-    stale: bool | None = Field(description="In real time: it was radiated with an older waveform.")
+    stale: bool = Field(description="In real time: it was radiated with an older waveform.")
     isotropic: float | None
     targets: list[TargetOfDwell]
     tracks: list[TrackOfDwell] | None = Field(description="null: their number is known.")
@@ -296,7 +296,7 @@ class Timeline(Document):
         description="The largest root mean square of any track; of all together where their number is unknown."
     )
     missed: list[float | None] = Field(
-        description="Share of the targets without a track, and in place of `detected`, `lost`, `late` and `stale`"
+        description="Share of the targets without a track, and in place of `detected` and `lost`"
         " where the number of tracks is unknown."
     )
     swaps: list[int | None] = Field(description="Tracks that became another target's, where their number is unknown.")

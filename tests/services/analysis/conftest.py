@@ -52,9 +52,11 @@ def made_picture(run: str, seed: int) -> list[Row]:
     Of ten cells a dwell as many as the seed are blind in the last one.
     """
     rows = [
-        (run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0]), 10, 0, 0) for t in range(1, DWELLS)
+        (run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0]), 10, 0, 0, t - 1, 0)
+        for t in range(1, DWELLS)
     ]
-    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0]), 10, seed, 0))
+    squares = (1.0 * seed**2, 12.5, 0.0, 13.0)
+    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, *squares, 0, 0, 1, *(6 * [0]), 10, seed, 0, DWELLS - 1, 0))
     return pictures(rows)
 
 

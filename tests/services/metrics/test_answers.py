@@ -203,7 +203,7 @@ def test_without_truth_what_needs_it_is_unknown(sent: list[Message]) -> None:
     for row in rows:
         unknown = {"p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage", "outage_longest", "snr_db", "lost"}
         unknown |= {"position_rmse_km", "velocity_rmse_km_s", "born_t", "gone_t", "visible_t", "confirmed_t"}
-        assert {name for name, value in row.items() if value is None} == {*unknown, "stale"}
+        assert {name for name, value in row.items() if value is None} == unknown
         assert (row["n"], row["share"] > 0) == (DWELLS, True)
     tracks = answer(store, "tracks", {})
     assert len(tracks) == 2 * DWELLS

@@ -161,5 +161,5 @@ def test_without_truth_only_the_tracks_are_counted() -> None:
     blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
     rows = _pictures(blind, [message for message in messages_of(start) if isinstance(message, Plan | Scan)])
     assert [(row["tracks"], row["began"]) for row in rows] == [(2, 2), (2, 0), (2, 0), (2, 0)]
-    known = {"run", "k", "t", "tracks", "began", "tested", "blind", "unmeasured"}
+    known = {"run", "k", "t", "tracks", "began", "tested", "blind", "unmeasured", "waveform_k", "late"}
     assert {value for row in rows for name, value in row.items() if name not in known} == {None}

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.arrays.result import Result
+from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.errors import StoreFailed
 from cogradar.services.metrics import store as stores
 from cogradar.services.metrics.answers import answer
@@ -246,13 +248,46 @@ def test_without_truth_tracks_are_scored_by_the_cells_they_asked_for(sent: list[
     assert len(rows) == len(known)
     for row in rows:
         other = known[row["t"], row["track"]]
-        same = ("bin", "x_hat", "vx_hat", "y_hat", "vy_hat", "share", "late")
+        same = ("bin", "x_hat", "vx_hat", "y_hat", "vy_hat", "share", "late", "stale")
         assert [row[name] for name in same] == [other[name] for name in same]
-        assert [row[name] for name in ("true_bin", "snr_db", "x", "vx", "y", "vy", "stale")] == 7 * [None]
+        assert [row[name] for name in ("true_bin", "snr_db", "x", "vx", "y", "vy")] == 6 * [None]
         assert row["target"] == row["track"]
         scan = next(scan for scan in scans(sent) if scan.t == row["t"])
         (tested,) = scan.statistic[scan.bins == row["bin"]]
         assert row["detected"] == (tested >= threshold(SMOKE.radar.detector.p_fa))
+
+
+def test_without_truth_a_dwell_has_the_shares_of_the_waveform_that_its_scan_names(sent: list[Message]) -> None:
+    """An allocator that is stopped for three dwells: the front end repeats its last waveform."""
+    first = next(scan.k for scan in scans(sent) if scan.t == 2) - 1
+    repeated = next(m for m in sent if isinstance(m, Waveform) and m.k == first)
+    beams = {"waveform_k": first, "beams": repeated.beams}
+
+    def late(message: Message) -> Message:
+        is_late = isinstance(message, Scan | Truth) and first + 1 < message.k <= first + 4
+        return message.model_copy(
+            update={name: beams[name] for name in vars(message).keys() & beams} if is_late else {}
+        )
+
+    changed, start = [late(message) for message in sent], smoke_start(dwells=DWELLS)
+    blind, seeing = in_memory(), in_memory()
+    start = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    _record([message for message in changed if not isinstance(message, Truth)], blind, start)
+    _record(changed, seeing)
+    rows = _scores(blind)
+    assert {row["t"] for row in rows if row["stale"]} == {3, 4, 5}
+    for row in rows:
+        if 2 <= row["t"] <= 5:
+            assert row["share"] == pytest.approx(repeated.shares[row["track"] - 1].sum())
+    known = [(row["t"], row["track"], row["share"], row["stale"]) for row in _scores(seeing)]
+    assert [(row["t"], row["track"], row["share"], row["stale"]) for row in rows] == known
+    assert answer(blind, "antennas", {"dwells": "3:5"})[0]["power"] == pytest.approx(
+        answer(blind, "antennas", {"dwells": "2:2"})[0]["power"]
+    )
+    assert answer(blind, "antennas", {"dwells": "2:5"})[0]["n"] == 4
+    powers = Result(StoredRun(lambda metric, asked: answer(blind, metric, asked), None)).antenna_powers
+    assert (powers[2:5] == powers[1]).all()
+    assert (powers[5] != powers[1]).any()
 
 
 def test_scores_that_a_fault_of_the_store_cut_off_are_derived_anew(

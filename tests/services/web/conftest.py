@@ -24,6 +24,7 @@ from cogradar.shared.wire.exposition import Exposition
 from tests.services.loop import play, smoke_start
 
 DWELLS = 8
+LATE = 3  # dwell that an older waveform was radiated in, of some runs
 SITE = {
     "latitude_deg": 48.0,
     "longitude_deg": 11.0,
@@ -51,14 +52,21 @@ def record(path: Path, runs: dict[str, list[Message]]) -> None:
     journal.close()
 
 
-def _timed(scan: Scan) -> dict[str, float | None]:
-    """When a scan was, and that it was of an older waveform in dwell 3."""
-    return {"utc_s": 1e9 + scan.k, "waveform_k": scan.k - 2 if scan.t == 3 else None}
+def _late(message: Message) -> Message:
+    """In dwell 3 an older waveform was radiated."""
+    if isinstance(message, Scan | Truth) and message.t == LATE:
+        return message.model_copy(update={"waveform_k": message.k - 2})
+    return message
+
+
+def _timed(message: Message) -> Message:
+    """When a scan was."""
+    return message.model_copy(update={"utc_s": 1e9 + message.k}) if isinstance(message, Scan) else message
 
 
 @pytest.fixture(scope="session")
 def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs: whole, other (another strategy), sited (on the earth), timed (late once), blind (no truth), begun."""
+    """Runs: whole, other (another strategy), sited (on the earth), timed (late once), blind (so, no truth), begun."""
     path = tmp_path_factory.mktemp("web") / "runs.db"
     start = smoke_start(dwells=DWELLS)
     sited = start.scenario | {"site": SITE}
@@ -69,8 +77,8 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
             "whole": sent,
             "other": play(smoke_start(Strategy.UNIFORM, dwells=DWELLS)),
             "sited": [start.model_copy(update={"scenario": sited}), *sent[1:]],
-            "timed": [m.model_copy(update=_timed(m)) if isinstance(m, Scan) else m for m in sent],
-            "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
+            "timed": [_timed(_late(m)) for m in sent],
+            "blind": [blind, *(_late(m) for m in sent if not isinstance(m, RunStart | Truth))],
             "begun": sent[: len(sent) // 2],
         },
     )

@@ -31,7 +31,7 @@ from cogradar.shared.world.disturbance import power_spectrum
 from tests.services.loop import scans
 from tests.services.scored import pictures as pictured
 from tests.services.scored import scores as scored
-from tests.services.web.conftest import DWELLS, FAST_S, ask
+from tests.services.web.conftest import DWELLS, FAST_S, LATE, ask
 from tests.services.web.test_views import get
 
 T, GAP, SCANS = 1234, 700, 9  # dwells, of which one is missing, as in real time
@@ -62,7 +62,9 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         if t != GAP
     ]
     pictures = [
-        ("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None, 3, 0, 0) for t in range(1, T + 1) if t != GAP
+        ("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None, 3, 0, 0, t + SCANS - 2, 0)
+        for t in range(1, T + 1)
+        if t != GAP
     ]
     journal.write("DELETE FROM run")
     complete = row | {"status": "complete", "digest": "0"}
@@ -208,8 +210,9 @@ def test_the_statistic_is_that_of_the_targets_cell(web: httpx.Client, sent: list
 
 def test_a_course_without_truth_has_what_is_known(web: httpx.Client) -> None:
     found = get(web, "blind/course", target=1)
-    for name in ("p_d", "p_d_low", "error_km", "floor_km", "snr_db", "stale"):
+    for name in ("p_d", "p_d_low", "error_km", "floor_km", "snr_db"):
         assert set(found[name]) == {None}
+    assert [t for t, is_stale in zip(found["t"], found["stale"], strict=True) if is_stale] == [LATE]
     assert None not in found["statistic"]
     assert get(web, "whole/course", target=1, dwells="9:")["t"] == []
     assert {found[name] for name in course.OF_TRACK} == {None}

@@ -25,7 +25,7 @@ from cogradar.services.web.views import dwells
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
 from tests.services.loop import play, scans, smoke_start
-from tests.services.web.conftest import DWELLS
+from tests.services.web.conftest import DWELLS, LATE
 
 RUNS = "/api/v1/runs"
 Event = tuple[str, str, dict[str, Any]]  # name, id, data
@@ -91,8 +91,9 @@ def test_a_client_goes_on_after_the_last_event_that_it_has(web: httpx.Client, ho
 def test_without_truth_there_are_tracks_and_no_targets_states(web: httpx.Client) -> None:
     for _, _, data in _all(web, "blind")[:-1]:
         for target in data["targets"]:
-            assert (target["x"], target["true_bin"], target["snr_db"], target["stale"]) == (None, None, None, None)
+            assert (target["x"], target["true_bin"], target["snr_db"]) == (None, None, None)
             assert target["statistic"] is not None
+            assert target["stale"] == data["stale"] == (data["t"] == LATE)
 
 
 class _Live:

@@ -24,7 +24,7 @@ from cogradar.shared.signal.array import spatial_frequency
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, plan, roster, scan, start_of, waveform
 from tests.services.loop import play
 from tests.services.web.conftest import FAST_S, ask, record
-from tests.services.web.unknown_run import DWELLS, sent
+from tests.services.web.unknown_run import DWELLS, LATE, late, sent
 
 PLAYED = 10  # dwells
 
@@ -36,7 +36,7 @@ def played() -> list[Message]:
 
 @pytest.fixture(scope="module")
 def store(played: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
-    """Runs: by-hand, blind (without truth), played (by the cores), begun (not over)."""
+    """Runs: by-hand, blind (without truth, and late), played (by the cores), begun (not over)."""
     path: Path = tmp_path_factory.mktemp("unknown") / "runs.db"
     said, start = sent(), start_of(DWELLS)
     blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
@@ -44,7 +44,7 @@ def store(played: list[Message], tmp_path_factory: pytest.TempPathFactory) -> It
         path,
         {
             "by-hand": said,
-            "blind": [blind, *(message for message in said if not isinstance(message, RunStart | Truth))],
+            "blind": [blind, *(late(message) for message in said if not isinstance(message, RunStart | Truth))],
             "played": played,
             "begun": [message for message in said if getattr(message, "k", 0) < 8],
         },
@@ -116,6 +116,15 @@ def test_without_truth_there_are_tracks_alone(store: MetricsCore) -> None:
     assert {(track["target"], track["error_km"]) for track in dwells[8]["tracks"]} == {(None, None)}
     assert (dwells[8]["targets"], dwells[8]["picture"]["gospa_km"]) == ([], None)
     assert (timeline["first"], set(timeline["missed"])) == (list(range(1, DWELLS + 1)), {None})
+
+
+def test_without_truth_late_plans_are_of_the_waveform_that_was_radiated(store: MetricsCore) -> None:
+    timeline, course = _get(store, "blind/timeline"), _get(store, "blind/course?track=1")
+    is_late = {t: dwell["tracks"][0]["late"] for t, dwell in _dwells(store, "blind").items() if dwell["tracks"]}
+    assert [t for t, is_one in is_late.items() if is_one] == list(LATE)
+    assert [t for t, is_one in zip(course["t"], course["late"], strict=True) if is_one] == list(LATE)
+    assert [t for t, n in zip(timeline["first"], timeline["late"], strict=True) if n] == list(LATE)
+    assert [t for t, n in zip(timeline["first"], timeline["stale"], strict=True) if n] == [LATE[1]]
 
 
 def test_the_course_of_a_track_ends_with_it(store: MetricsCore) -> None:

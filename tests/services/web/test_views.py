@@ -11,8 +11,9 @@ from cogradar.services.skies.place import Place
 from cogradar.services.web.views import dwells
 from cogradar.shared.protocol.messages import Message, Plan, Scan, Truth, Waveform
 from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.signal.waveform import antenna_powers
 from tests.services.loop import smoke_start
-from tests.services.web.conftest import DWELLS, SITE
+from tests.services.web.conftest import DWELLS, LATE, SITE
 
 RUNS = "/api/v1/runs"
 
@@ -108,6 +109,18 @@ def test_a_dwell_without_truth_says_what_is_known(web: httpx.Client) -> None:
             assert len(target["covariance"]) == 3
 
 
-def test_a_dwell_says_that_its_waveform_was_stale(web: httpx.Client) -> None:
-    told = get(web, "timed/dwells", dwells=":")["dwells"]
-    assert [dwell["t"] for dwell in told if dwell["stale"]] == [3]
+@pytest.mark.parametrize("run", ["timed", "blind"])
+def test_a_dwell_shows_the_waveform_that_was_radiated(web: httpx.Client, sent: list[Message], run: str) -> None:
+    """With truth and without, for the scan says which waveform it was."""
+    told = get(web, f"{run}/dwells", dwells=":")["dwells"]
+    assert [dwell["t"] for dwell in told if dwell["stale"]] == [LATE]
+    waveforms = {message.k: message for message in sent if isinstance(message, Waveform)}
+    for dwell in told[1:]:
+        radiated = waveforms[dwell["k"] - (2 if dwell["t"] == LATE else 1)]
+        antennas = get(web, f"{run}/beampattern", dwell=dwell["t"])["antennas"]
+        expected = antenna_powers(radiated.isotropic, radiated.factor.astype(np.complex128))
+        assert [one["power"] for one in antennas] == pytest.approx(expected.tolist())
+        for target in dwell["targets"]:
+            if radiated.beams[target["track"] - 1].tolist()[: len(target["cells"])] == [b for b, _ in target["cells"]]:
+                expected = radiated.shares[target["track"] - 1].sum()
+                assert sum(share for _, share in target["cells"]) == pytest.approx(expected)

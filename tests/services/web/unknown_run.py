@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.messages import Message, Scan, Truth, Waveform
 from cogradar.shared.protocol.roster import Roster
 from tests.services.births import FAR, HERE, THERE, end, plan, roster, scan, start_of, truth, waveform
 
 DWELLS = 12
+LATE = (8, 9)  # dwells of a waveform with a late plan of the first track, the second time as no newer one had come
 
 
 class Life(NamedTuple):
@@ -61,3 +62,13 @@ def _dwell(k: int) -> list[Message]:
 def sent() -> list[Message]:
     """Every message."""
     return [start_of(DWELLS), *(message for k in range(DWELLS) for message in _dwell(k)), end(DWELLS)]
+
+
+def late(message: Message) -> Message:
+    """A message of the same run in real time: a plan was late, and then a waveform."""
+    match message:
+        case Waveform(k=k) if k == LATE[0] - 2:
+            return message.model_copy(update={"late": np.array([1, 0], np.int32)})
+        case Scan(t=t, k=k) | Truth(t=t, k=k) if t == LATE[1]:
+            return message.model_copy(update={"waveform_k": k - 2})
+    return message

@@ -106,7 +106,8 @@ def show(browser: Browser, watched: Watched) -> Iterator[Open]:
     hosts: set[str] = set()
     yield show_
     for context in contexts:
-        for page in context.pages:  # what a test answers in the service's place asks the service first, perhaps just now
+        # What a test answers in the service's place asks the service first, perhaps just now.
+        for page in context.pages:
             page.unroute_all(behavior="ignoreErrors")
         context.close()
     assert watched.faults == []
@@ -188,12 +189,12 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="package")
 def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Runs that are over, whose tracks begin and end: by-hand, and the same on the earth (sited)."""
+    """Runs that are over, whose tracks begin and end: by-hand, the same on the earth (sited), in real time (late)."""
     path = tmp_path_factory.mktemp("unknown") / "runs.db"
     start, *sent = unknown_run.sent()
     assert isinstance(start, RunStart)
     sited = start.model_copy(update={"scenario": start.scenario | {"site": SITE}})
-    record(path, {"sited": [sited, *sent], "by-hand": [start, *sent]})
+    record(path, {"sited": [sited, *sent], "late": [start, *map(unknown_run.late, sent)], "by-hand": [start, *sent]})
     yield from serve(path)
 
 

@@ -56,3 +56,20 @@ def test_the_timeline_and_the_log_tell_of_tracks_that_begin_and_end(unknown: str
     until(page, "document.getElementById('dwell').textContent === '12'")
     until(page, "document.getElementById('scope').ariaLabel.includes('confirmed tracks: 1')")
     assert inked(page) > 0.01
+
+
+def test_the_timeline_shows_late_plans_and_stale_waveforms(unknown: str, show: Open) -> None:
+    page = show(f"{unknown}/?run=late&dwell=9")
+    expect(page.locator("#strip-key .key-late")).to_be_visible()
+    expect(page.locator("#tracks tbody tr").first).to_contain_text("late, stale")
+    marked = """Math.max(...[8, 9].map((t) => {
+      const strip = document.getElementById('strip');
+      const ink = getComputedStyle(document.documentElement).getPropertyValue('--warn').trim();
+      const rgb = [1, 3, 5].map((i) => parseInt(ink.slice(i, i + 2), 16));
+      const x = Math.round(strip.width * (8 + (strip.clientWidth - 16) * (t - 1) / 11) / strip.clientWidth);
+      const copy = new OffscreenCanvas(1, 1).getContext('2d', { willReadFrequently: true });
+      copy.drawImage(strip, -x, 1 - strip.height);
+      const { data } = copy.getImageData(0, 0, 1, 1);
+      return rgb.reduce((sum, value, i) => sum + Math.abs(value - data[i]), 0);
+    })) < 10"""
+    until(page, marked)
