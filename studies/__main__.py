@@ -89,7 +89,7 @@ def scaling(into: IntoOption = None, as_json: JsonOption = False) -> None:
 @app.command()
 def realtime(as_json: JsonOption = False) -> None:
     """Find the highest rate that this machine sustains in real time, by number of targets and planners."""
-    from studies import realtime as study
+    from studies.processes import realtime as study
 
     with command() as stop, _measuring(stop, as_json=as_json) as tell:
         cells = study.bench(tell, stop)
@@ -108,7 +108,7 @@ def load_(
     as_json: JsonOption = False,
 ) -> None:
     """Play several runs at once on services that are up: runs per minute and the time of a dwell."""
-    from studies import load as study
+    from studies.processes import load as study
 
     with command(zenoh_config=zenoh_config) as stop:
         numbers = at_once.split(",")
@@ -123,7 +123,7 @@ def load_(
 @app.command()
 def watched(pairs: PairsOption = 10, as_json: JsonOption = False) -> None:
     """Measure what clients, scrapes and frozen readers cost a run, against runs alone."""
-    from studies import watched as study
+    from studies.processes import watched as study
 
     with command() as stop, _measuring(stop, as_json=as_json) as tell:
         measured = study.measure(pairs, study.DWELLS, tell, stop)
@@ -135,7 +135,7 @@ def secured(
     scenario: ScenarioOption = "paper", dwells: DwellsOption = 60, pairs: PairsOption = 10, as_json: JsonOption = False
 ) -> None:
     """Measure what certificates and access control cost a dwell, against one without."""
-    from studies import load as study
+    from studies.processes import load as study
 
     with command() as stop, _measuring(stop, as_json=as_json) as tell:
         found = study.secured(untold(load(scenario)), dwells, pairs, tell, stop)
@@ -145,8 +145,8 @@ def secured(
 @app.command()
 def crowd(into: IntoOption = None, as_json: JsonOption = False) -> None:
     """Measure what 100, 300 and 1000 tracks cost: processor and memory, in real time and in lockstep."""
-    from studies import crowd as study
     from studies import page
+    from studies.processes import crowd as study
 
     with command() as stop:
         if into:
@@ -166,7 +166,7 @@ def accuracies(
 ) -> None:
     """Ask for the accuracy of tracks: in how many dwells they have it, and what it costs the others."""
     from cogradar.services.analysis.pages import write_into
-    from studies import accuracies as study
+    from studies.decisions import accuracies as study
 
     with command() as stop:
         if into:
@@ -222,8 +222,8 @@ def ages(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how old a track is where a feed sends it; exit code 1 if more than 1 % are 200 ms old."""
-    from studies import ages as study
     from studies import page
+    from studies.processes import ages as study
 
     with command() as stop:
         if into:
@@ -248,7 +248,7 @@ def decisions(
 ) -> None:
     """Judge decisions one by one: are they provably the best, and what does each policy lose?"""
     from cogradar.services.analysis.pages import write_into
-    from studies import decisions as study
+    from studies.decisions import decisions as study
 
     with command() as stop:
         if into:
@@ -333,7 +333,7 @@ def agents(
 ) -> None:
     """Train an agent in an environment, and compare it with others and with the radar's own rules."""
     from cogradar.services.analysis.pages import write_into
-    from studies import agents as study
+    from studies.decisions import agents as study
 
     with command() as stop:
         if into:

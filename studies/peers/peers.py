@@ -2,7 +2,8 @@
 
 All decide on the same beliefs, with the same legal bins, generator, exploration constant, discount and numbers of
 simulations. The horizon is two looks, so that the exact value of every bin is known. The beliefs are from runs.
-In each of them the most probable bin is not proved to be the best (`studies.greedy`): elsewhere a search has no use.
+In each of them the most probable bin is not proved to be the best (`studies.decisions.greedy`): elsewhere a search has
+no use.
 """
 
 import threading
@@ -30,7 +31,7 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.errors import bootstrap_interval
 from cogradar.shared.tracking.model import TrackerModel
-from studies.greedy import is_greedy_optimal
+from studies.decisions.greedy import is_greedy_optimal
 
 SETTINGS = ("radar.echo.amplitude_db=54", "radar.motion.sigma_s_km_s2=0.03")  # where most decisions are open
 LEVELS = 2  # of looks

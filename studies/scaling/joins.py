@@ -13,8 +13,8 @@ from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.session import open_session
+from studies.processes.timestamps import RunTimestamps, ask_timestamps
 from studies.scaling.runs import SEED, WITHIN_S, scenario
-from studies.timestamps import RunTimestamps, ask_timestamps
 
 REPEATS = 3
 JOINING = 5  # planners, all at once, of a run that one plans

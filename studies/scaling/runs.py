@@ -23,8 +23,8 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.wire.session import open_session
 from cogradar.shared.wire.timestamps import Received
-from studies.many_targets import many_targets
-from studies.timestamps import RunTimestamps, ask_timestamps
+from studies.processes.many_targets import many_targets
+from studies.processes.timestamps import RunTimestamps, ask_timestamps
 
 SEED = 1
 REPEATS = 3  # of every run, in turn

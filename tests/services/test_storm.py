@@ -19,7 +19,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.queries import ask, ask_expositions
 from cogradar.shared.wire.session import open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
-from studies.many_targets import many_targets
+from studies.processes.many_targets import many_targets
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.nightly]
 

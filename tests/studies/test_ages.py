@@ -6,8 +6,8 @@ import pytest
 
 from cogradar.services.errors import RunFailed
 from cogradar.services.feed.asterix import Asterix, Source
-from studies import ages
-from studies.ages import Ages, times_of_tracks
+from studies.processes import ages
+from studies.processes.ages import Ages, times_of_tracks
 from tests.services.feed.made import UTC_S, crowd
 from tests.services.tables import assert_shown_whole
 

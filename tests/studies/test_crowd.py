@@ -5,8 +5,8 @@ import threading
 import pytest
 
 from cogradar.shared.protocol.topics import Role
-from studies import crowd
-from studies.crowd import Crowd, Kind
+from studies.processes import crowd
+from studies.processes.crowd import Crowd, Kind
 from tests.services.tables import assert_shown_whole
 
 ROLES = {role.value for role in Role} - {Role.OPERATOR.value}

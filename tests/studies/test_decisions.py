@@ -10,7 +10,7 @@ from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import BIN_RULES
-from studies.decisions import OVER, Decisions, judged, play, table
+from studies.decisions.decisions import OVER, Decisions, judged, play, table
 
 DWELLS = 30
 

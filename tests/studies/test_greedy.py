@@ -12,7 +12,7 @@ from cogradar.shared.planning.exact import values_of
 from cogradar.shared.planning.radar_pomdp import RadarPomdp, problem_of
 from cogradar.shared.tracking.motion import Motion
 from cogradar.shared.tracking.sensor import Sensor
-from studies.greedy import enough, is_greedy_optimal, worth_of_telling
+from studies.decisions.greedy import enough, is_greedy_optimal, worth_of_telling
 from tests.oracles.exact import beliefs
 
 SENSOR = Sensor(100, 60.0, -2.0 * np.log(1e-4))

@@ -7,8 +7,8 @@ import pytest
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
 from cogradar.shared.wire.timestamps import Sent
+from studies.processes.timestamps import RunTimestamps
 from studies.scaling import joins
-from studies.timestamps import RunTimestamps
 from tests.services.tables import assert_shown_whole
 
 

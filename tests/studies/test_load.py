@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from cogradar.services.errors import RunFailed
-from studies import load
+from studies.processes import load
 from tests.scenarios import varied
 from tests.services.loop import SMOKE
 

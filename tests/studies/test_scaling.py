@@ -11,11 +11,11 @@ from cogradar.services.errors import BadInput
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.wire.timestamps import Received, Sent
 from studies import page as measured
+from studies.processes.timestamps import RunTimestamps
 from studies.scaling import runs as bench_scale
 from studies.scaling import tables as scale_tables
 from studies.scaling.model import READERS, need, needs, speed_up
 from studies.scaling.runs import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
-from studies.timestamps import RunTimestamps
 from tests.services.tables import assert_shown_whole
 
 LATENCY = Latency(total=100.0, emulator=10.0, planner=80.0, allocator=5.0, queueing=1.0, transport=4.0)

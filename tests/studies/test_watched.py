@@ -7,8 +7,8 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.errors import Interrupted, RunFailed
-from studies import watched
-from studies.http_clients import KINDS
+from studies.processes import watched
+from studies.processes.http_clients import KINDS
 
 PAIRS, DWELLS = 1, 150
 

@@ -23,7 +23,7 @@ from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.queries import ask
 from cogradar.shared.wire.session import free_port, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
-from studies.timestamps import ask_timestamps
+from studies.processes.timestamps import ask_timestamps
 from tests.services.loop import checkpoints, play, scans, smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

@@ -16,7 +16,7 @@ from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.wire.session import open_session
-from studies.timestamps import ask_timestamps
+from studies.processes.timestamps import ask_timestamps
 from tests.services.loop import smoke_start
 
 LEAST, MOST = 5.5, 7.2  # delays in a dwell. Scan, plan and waveform pass the router, which takes six

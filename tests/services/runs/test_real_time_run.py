@@ -15,9 +15,9 @@ from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import Truth
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.wire.codec import decode
-from studies import realtime as bench_realtime
-from studies.many_targets import many_targets
-from studies.realtime import Cell, Probe, highest_rate
+from studies.processes import realtime as bench_realtime
+from studies.processes.many_targets import many_targets
+from studies.processes.realtime import Cell, Probe, highest_rate
 from tests.services.loop import smoke_start
 from tests.services.stored import rows
 from tests.services.tables import assert_shown_whole

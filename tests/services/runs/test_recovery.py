@@ -11,7 +11,7 @@ from cogradar.services.runs import in_process
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.runner import TICK_S
-from studies.many_targets import many_targets
+from studies.processes.many_targets import many_targets
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 

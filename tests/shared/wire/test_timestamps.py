@@ -1,7 +1,7 @@
 """The timestamps that a process keeps of its messages."""
 
 from cogradar.shared.wire.timestamps import Received, Sent, Timestamps
-from studies.timestamps import RunTimestamps
+from studies.processes.timestamps import RunTimestamps
 from tests.samples import plan
 
 

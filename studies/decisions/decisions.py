@@ -2,7 +2,7 @@
 
 Runs are played with POMCP. Their beliefs are computed again from the scans, and every policy decides on each of them.
 The loss of a decision is the exact depth-2 value of the best bin minus the value of the chosen one. The bound of
-`studies.greedy` leaves a decision open where it does not prove the most probable bin the best.
+`studies.decisions.greedy` leaves a decision open where it does not prove the most probable bin the best.
 """
 
 import math
@@ -30,7 +30,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import BIN_RULES
 from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.wire.codec import decode
-from studies.greedy import is_greedy_optimal
+from studies.decisions.greedy import is_greedy_optimal
 
 SEARCH = "pomcp"
 HORIZONS = {"open": 2, "open_any": math.inf}  # looks for which the bound has to hold

@@ -23,7 +23,7 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.wire.runner import serve
 from cogradar.shared.wire.session import open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
-from studies.many_targets import many_targets
+from studies.processes.many_targets import many_targets
 
 SEED = 1
 N_TARGET, N_PLANNER = (1, 3, 10, 30), (1, 2)

@@ -22,8 +22,8 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.errors import bootstrap_interval
 from cogradar.shared.wire.session import open_session
-from studies.http_clients import KINDS, serve
-from studies.timestamps import ask_timestamps
+from studies.processes.http_clients import KINDS, serve
+from studies.processes.timestamps import ask_timestamps
 
 PAIRS = 10
 DWELLS = 300

@@ -30,7 +30,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.errors import bootstrap_interval
 from cogradar.shared.wire.session import CONFIG_VARIABLE, open_session
-from studies.timestamps import ask_timestamps
+from studies.processes.timestamps import ask_timestamps
 
 CERTIFICATES_GOAL = 1.05  # of the time of a dwell without them
 RUNS_EACH = 2  # one after the other, by each that plays
