@@ -26,7 +26,7 @@ from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
-from cogradar.shared.wire.queries import Claim, alive
+from cogradar.shared.wire.queries import Claim, alive, names_alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
@@ -187,19 +187,31 @@ def _close(bus: ZenohBus) -> None:
 
 
 def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> Claim | None:
-    """Raise BadInput if one process alone plays a role, and another one does; name processes of other builds.
+    """Raise BadInput if one process alone plays a role, or has a name, and another one does; name other builds.
 
     Two recorders would keep two journals of one run, two front ends transmit. Returns the claim of a process that is
     alone, which must be shown as long as it lives.
     """
     is_alone = not service.scalable and service.role is not Role.OPERATOR  # there may be many operators
     claim = _claimed(service.role, start.name, session, check) if is_alone else None
+    if service.scalable:
+        _check_name(service.role, start.name, session, check)
     there = alive(session, build())
     for stranger in there.strangers:
         log.warning("%s: they do not hear each other", stranger)
     if there.build != build():
         log.warning("%s %s: it takes part in nothing", start.name, difference(build(), there.build))
     return claim
+
+
+def _check_name(role: Role, name: str, session: Session, check: Callable[[], None]) -> None:
+    """Raise BadInput if another process of the role has this name: both would be taken for one."""
+    begun = time.monotonic()
+    while name in names_alive(session, build(), role):
+        if time.monotonic() > begun + HOLDER_WITHIN_S:
+            raise BadInput(f"another {role} is there already under the name {name}: use another --name or certificate")
+        check()
+        time.sleep(HOLDER_POLL_S)
 
 
 def _claimed(role: Role, name: str, session: Session, check: Callable[[], None]) -> Claim:

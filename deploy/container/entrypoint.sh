@@ -11,8 +11,8 @@ grep -qw avx2 /proc/cpuinfo || {
 mkdir -p "$COGRADAR_CACHE_DIR"
 cp -R /opt/cogradar/kernels/. "$COGRADAR_CACHE_DIR"
 
-# A service is named after its container, so that its health check, `docker ps` and its log say the same. (A planner with
-# a certificate for some of the tracks has their slots behind it.)
+# A service is named after its container, so that its health check, `docker ps` and its log say the same. One with a
+# certificate has the certificate's name instead.
 if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
     role=$2
     shift 2
@@ -20,4 +20,21 @@ if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
     rm -f "$COGRADAR_HEARTBEAT"
     set -- service "$role" --name "$role-$(hostname)" "$@"
 fi
+
+# Several certificates, as /keys/*/zenoh.json5: this process takes the first one that no other container of this machine
+# has, for each is for one process. The lock lasts as long as the file is open: to the end of what follows.
+case ${COGRADAR_ZENOH:-} in
+*'*'*)
+    for file in $COGRADAR_ZENOH; do
+        exec 9<"$file"
+        flock --nonblock 9 || continue
+        export COGRADAR_ZENOH="$file"
+        break
+    done
+    [ "${COGRADAR_ZENOH#*'*'}" = "$COGRADAR_ZENOH" ] || {
+        echo "$COGRADAR_ZENOH: other containers have all of these certificates: issue one more" >&2
+        exit 1
+    }
+    ;;
+esac
 exec cogradar "$@"

@@ -99,8 +99,8 @@ def service(
     name: Annotated[
         str | None,
         typer.Option(
-            help="Unique name of this process; random if left out. A planner named [NAME]@FIRST-LAST plans for these of"
-            " 16 slots of tracks only; left out, for the slots of its certificate."
+            help="Unique name of this process; random if left out, and the certificate's if it has one. A planner"
+            " named [NAME]@FIRST-LAST plans for these of 16 slots of tracks only."
         ),
     ] = None,
     store: ServiceStoreOption = "cogradar.db",

@@ -3,7 +3,6 @@
 import json
 import logging
 import time
-import uuid
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
@@ -31,12 +30,12 @@ def cancel_on(endpoint: str, run: str) -> None:
     Raises NoMetrics if no metrics service answers, BadInput if there is no such run, it is over, or the certificate is
     another role's, RunFailed without a confirmation.
     """
-    own.check(endpoint, (Role.OPERATOR,))
+    name = own.operator_name(endpoint)
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
+    bus = ZenohBus(session, Role.OPERATOR, name, reads=False)
     try:
         check_running(session, run)
         if cancel(session, bus, [run]):

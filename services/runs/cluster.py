@@ -74,7 +74,7 @@ def play(
     with (
         _tidied(store),
         Launcher(processes, stop, notify) as launcher,
-        _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
+        _connected(launcher.endpoint, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)
         launcher.under_fire = True
@@ -136,7 +136,7 @@ def play_on(
     Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
     """
     check = partial(check_stop, stop)
-    with _connected(endpoint, start.run, check, notify) as (session, bus):
+    with _connected(endpoint, check, notify) as (session, bus):
         wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         with _cancelled_and_told(session, bus, start):
             return _play(endpoint, session, bus, start, check, report, notify)
@@ -148,7 +148,7 @@ def start_on(endpoint: str, start: RunStart, *, notify: Callable[[str], None], s
     Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
     """
     check = partial(check_stop, stop)
-    with _connected(endpoint, start.run, check, notify) as (session, bus):
+    with _connected(endpoint, check, notify) as (session, bus):
         wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         deadline = time.monotonic() + ANSWER_WITHIN_S
         with cancelled_unless_over(session, bus, lambda: [start.run]):
@@ -163,18 +163,18 @@ def start_on(endpoint: str, start: RunStart, *, notify: Callable[[str], None], s
 
 def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], None]) -> None:
     """Wait for processes that were just started behind the router at `endpoint`."""
-    with _connected(endpoint, "waiting", check) as (_, bus):
+    with _connected(endpoint, check) as (_, bus):
         wait_until_alive(bus.alive, names, check, lambda _: None, START_WITHIN_S)
 
 
 @contextmanager
 def _connected(
-    endpoint: str, run: str, check: Callable[[], None], notify: Callable[[str], None] = lambda _: None
+    endpoint: str, check: Callable[[], None], notify: Callable[[str], None] = lambda _: None
 ) -> Iterator[tuple[Session, ZenohBus]]:
     """A session and, over it, the bus of a run's operator. Raises BadInput if it has another role's certificate."""
-    own.check(endpoint, (Role.OPERATOR,))
+    name = own.operator_name(endpoint)
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check, notify=notify)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
+    bus = ZenohBus(session, Role.OPERATOR, name, reads=False)
     try:
         yield session, bus
     finally:

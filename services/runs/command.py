@@ -26,6 +26,7 @@ from cogradar.shared.wire.session import Session, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 WITHIN_S = 5.0
+_COMMANDING = (Role.OPERATOR, COMMANDER)
 
 
 def command_on(endpoint: str, run: str, words: Sequence[str], at: int = 0) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def order_on(endpoint: str, run: str, action: Action, at: int = 0, asker: str = 
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
+    bus = ZenohBus(session, Role.OPERATOR, own.operator_name(endpoint, _COMMANDING), reads=False)
     try:
         _check(session, command)
         row = _confirmed(session, lambda: bus.publish(command), command)
@@ -70,7 +71,7 @@ def order_on(endpoint: str, run: str, action: Action, at: int = 0, asker: str = 
 
 def check_commander(endpoint: str) -> str:
     """The name on the certificate that is shown there; empty: none is. Raises BadInput if it may not command."""
-    return own.check(endpoint, (Role.OPERATOR, COMMANDER))
+    return own.check(endpoint, _COMMANDING)
 
 
 def _check(session: Session, command: Command) -> None:

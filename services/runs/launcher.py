@@ -101,7 +101,7 @@ class Launcher:
         self._certificates: Path | None = None
 
     def with_certificates(self, folder: Path) -> Self:
-        """Connect the processes by TLS, each with the certificate ROLE.local of a folder. Before it is entered."""
+        """Connect the processes by TLS, each with its certificate of a folder: ROLE.0, ... Before it is entered."""
         self._certificates = folder
         self.endpoint = self.endpoint.replace("tcp/", "tls/")
         return self
@@ -110,9 +110,7 @@ class Launcher:
         try:
             for service in TOPOLOGY:
                 for i in range(service.number(self._given.planners, self._given.pool)):
-                    name = f"{service.role}-{i}"
-                    self._roles[name] = service.role
-                    self._start(name)
+                    self._add(service.role, i)
         except BaseException:
             self._end_all()
             raise
@@ -140,8 +138,11 @@ class Launcher:
 
     def add_planner(self) -> None:
         """Start one more."""
-        name = f"{Role.PLANNER}-{sum(role is Role.PLANNER for role in self._roles.values())}"
-        self._roles[name] = Role.PLANNER
+        self._add(Role.PLANNER, sum(role is Role.PLANNER for role in self._roles.values()))
+
+    def _add(self, role: Role, number: int) -> None:
+        name = f"{role}-{number}" if self._certificates is None else f"{role}.{number}"  # as on its certificate
+        self._roles[name] = role
         self._start(name)
 
     def signal(self, name: str, number: int) -> None:
@@ -193,7 +194,7 @@ class Launcher:
         word = ""
         environment = os.environ | {"PYTHONUNBUFFERED": "1", VARIABLE: allowance()}
         if self._certificates is not None:
-            environment[CONFIG_VARIABLE] = str(self._certificates / f"{role}.local" / SETTINGS)
+            environment[CONFIG_VARIABLE] = str(self._certificates / name / SETTINGS)
             command += ["--allow", str(self._certificates / ALLOWED)] if role is Role.ROUTER else []
         if role is Role.EMULATOR:
             named, word = without_password(self._given.front_end)  # all users of the machine can read a command

@@ -53,11 +53,11 @@ def may_send(holder: str, topic: Topic) -> bool:
     return holder == topic.producer or (topic.message is Command and holder in COMMANDING)
 
 
-def permitted(holder: str, limit: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]:
+def permitted(holder: str, limit: str = ALL_SLOTS, name: str = "*") -> dict[Act, tuple[str, ...]]:
     """Key expressions with which a holder of a certificate may do what.
 
-    limit : of a planner its slots; of a front end its name. A planner without a limit may call itself and what it says
-            as it likes, as those with each limit do.
+    limit : of a planner its slots; of a front end its name. A planner without a limit may speak of all slots.
+    name  : of the process, under which alone it shows itself and answers for itself; all names if left out
     """
     if holder == FRONT_END:
         asked = tuple(exchange.key_of(limit) for exchange in EXCHANGES)
@@ -75,8 +75,8 @@ def permitted(holder: str, limit: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]
         Act.READ: read,
         Act.ASK: tuple(expression(key) for key in _ASKED.get(holder, ())),
         Act.HEAR: tuple(expression(key) for key in own),
-        Act.ANSWER: tuple(expression(key, holder, limited) for key in own),
-        Act.SHOW: tuple(expression(key, holder, limited) for key in (ALIVE, CLAIM, SHARE)) if is_process else (),
+        Act.ANSWER: tuple(expression(key, holder, name) for key in own),
+        Act.SHOW: tuple(expression(key, holder, name) for key in (ALIVE, CLAIM, SHARE)) if is_process else (),
         Act.SEE: tuple(expression(key) for key in (ALIVE, CLAIM, SHARE)),
     }
     return {act: keys for act, keys in found.items() if keys}
@@ -87,7 +87,6 @@ def holders(act: Act, expression: str) -> tuple[str, ...]:
     return tuple(holder for holder in HOLDERS if expression in permitted(holder).get(act, ()))
 
 
-def expression(key: str, role: str = "*", slots: str = "*") -> str:
-    """Key expression for all keys of a form, or of a role, or of its processes whose names have slots."""
-    name = "*" if slots == "*" else f"$*@{slots}"
+def expression(key: str, role: str = "*", name: str = "*") -> str:
+    """Key expression for all keys of a form, or of a role, or of one process of it."""
     return re.sub(r"\{\w+\}", "*", key.replace("{role}", role).replace("{name}", name))

@@ -86,15 +86,15 @@ def alive(session: zenoh.Session, own: str) -> Alive:
     found = _tokens(session, ALIVE.format(protocol="*", build="*", role="*", name="*"))
     system = next((build for _, build, role, _ in found if role == Role.RECORDER), own)
     names: dict[Role, list[str]] = {}
-    strangers = []
+    strangers = dict[str, str]()  # one line for each name: a process can show as many builds as it likes
     for protocol, build, role, name in found:
         if protocol != str(PROTOCOL):
-            strangers.append(f"{name} speaks protocol {protocol}, this program {PROTOCOL}")
+            strangers[name] = f"{name} speaks protocol {protocol}, this program {PROTOCOL}"
         elif build != system and role != Role.OPERATOR:
-            strangers.append(f"{name} {difference(build, system)}")
+            strangers[name] = f"{name} {difference(build, system)}"
         elif role in set(Role):
             names.setdefault(Role(role), []).append(name)
-    return Alive(system, names, strangers)
+    return Alive(system, names, list(strangers.values()))
 
 
 def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:

@@ -138,9 +138,9 @@ def secured(
     with scratch() as folder:
         certificates = Path(folder) / "certs"
         authority.create(certificates, 2)
-        names = [f"{role}.local" for role in (*(service.role for service in TOPOLOGY), Role.OPERATOR)]
+        names = [f"{role}.0" for role in (*(service.role for service in TOPOLOGY), Role.OPERATOR)]
         authority.issue(certificates, names, ["127.0.0.1"], 1)
-        own = certificates / f"{Role.OPERATOR}.local" / SETTINGS
+        own = certificates / f"{Role.OPERATOR}.0" / SETTINGS
         with (
             Launcher(LocalProcesses(1), stop) as plain,
             Launcher(LocalProcesses(1), stop).with_certificates(certificates) as with_certificates,

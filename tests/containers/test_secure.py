@@ -1,8 +1,12 @@
 """The compose file with certificates: the same digest, and nobody gets in without one, or does more than its part."""
 
 import json
+import os
 import subprocess
 from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -18,18 +22,60 @@ SECURED = f"{PROJECT}-secured"
 DWELLS = "20"
 
 
-def test_every_service_has_a_certificate_of_its_own_and_sees_no_other() -> None:
+def test_every_service_has_a_certificate_of_its_own_and_sees_no_other_roles() -> None:
     services = yaml.safe_load(OVERRIDE.read_text(encoding="utf-8"))["services"]
     assert set(services) == {*SERVICES, "cli", "certs"}
     assert set(services) - {"certs"} == set(compose_file()["services"])
     seen = {name: service["volumes"][0]["volume"]["subpath"] for name, service in services.items() if name != "certs"}
-    assert seen == {name: f"keys/{name}.compose" for name in SERVICES} | {"cli": "keys/operator.cli"}
+    several = {name for name, service in SERVICES.items() if service.scalable}
+    alone = {name: f"keys/{name}.compose" for name in SERVICES if name not in several} | {"cli": "keys/operator.cli"}
+    assert seen == alone | {name: f"keys/{name}" for name in several}
     issued = services["certs"]["command"][0]
-    assert all(path.removeprefix("keys/") in issued.split() for path in seen.values())
+    assert all(path.removeprefix("keys/") in issued.split() for path in alone.values())
+    assert issued.count("for role in emulator planner allocator;") == 2
+    assert all(
+        (services[name]["environment"]["COGRADAR_ZENOH"] == "/keys/*/zenoh.json5") == (name in several) for name in seen
+    )
     for name in seen:
         assert services[name]["environment"]["COGRADAR_CONNECT"].startswith("tls/")
         assert services[name]["depends_on"] == {"certs": {"condition": "service_completed_successfully"}}
     assert services[Role.ROUTER]["command"][-2:] == ["--allow", "/keys/allowed"]
+
+
+def test_each_container_takes_a_certificate_that_no_other_has(tmp_path: Path) -> None:
+    """The script of the image, with a program in place of cogradar that says which one it was given."""
+    stubs, keys = tmp_path / "stubs", tmp_path / "keys"
+    stubs.mkdir()
+    programs = {"cogradar": 'echo "$COGRADAR_ZENOH"; read -r _'} | dict.fromkeys(("grep", "mkdir", "cp"), "")
+    for name, text in programs.items():
+        (stubs / name).write_text(f"#!/bin/sh\n{text}\nexit 0\n")
+        (stubs / name).chmod(0o755)
+    for name in ("planner.1", "planner.2"):
+        (keys / name).mkdir(parents=True)
+        (keys / name / "zenoh.json5").touch()
+    own = {"COGRADAR_ZENOH": f"{keys}/*/zenoh.json5", "COGRADAR_CACHE_DIR": str(tmp_path)}
+    environment = os.environ | own | {"PATH": f"{stubs}:{os.environ['PATH']}"}
+    with ExitStack() as ended:
+
+        def begin() -> subprocess.Popen[str]:
+            pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+            script = ["sh", str(ROOT / "deploy" / "container" / "entrypoint.sh")]
+            begun = subprocess.Popen(script, text=True, env=environment, **pipes)
+            return ended.enter_context(begun)
+
+        def taken(process: subprocess.Popen[str]) -> str:
+            assert process.stdout is not None
+            return Path(process.stdout.readline().strip()).parent.name
+
+        first, second = begin(), begin()
+        assert {taken(first), taken(second)} == {"planner.1", "planner.2"}
+        _, said = begin().communicate()
+        assert said == f"{keys}/*/zenoh.json5: other containers have all of these certificates: issue one more\n"
+        first.communicate("\n")
+        third = begin()
+        assert taken(third) in {"planner.1", "planner.2"}
+        for process in (second, third):
+            process.communicate("\n")
 
 
 def _compose(*arguments: str) -> str:

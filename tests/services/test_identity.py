@@ -121,6 +121,17 @@ def test_others_may_be_many(router: str, session: Session) -> None:
             _enter(role, session)
 
 
+def test_a_second_process_of_one_name_is_refused(
+    router: str, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of one that was given a copy of another one's certificate: both would be taken for one."""
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
+    for role in (Role.PLANNER, Role.EMULATOR, Role.ALLOCATOR):
+        said = f"^another {role} is there already under the name newcomer: use another --name or certificate$"
+        with _seen(router, role, "newcomer"), pytest.raises(BadInput, match=said):
+            _enter(role, session)
+
+
 def test_a_process_of_another_build_or_protocol_is_named(
     router: str, session: Session, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -25,16 +25,17 @@ from cogradar.shared.protocol.topics import (
     FRONT_END,
     PROTOCOL,
     QUERY,
+    SHARE,
     TIMESTAMPS,
     TOPICS,
     Role,
 )
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
-from cogradar.shared.wire.queries import alive
+from cogradar.shared.wire.queries import alive, names_alive
 from cogradar.shared.wire.session import CONFIG_VARIABLE
 from tests.samples import plan, sample
-from tests.services.certs.conftest import Secured, until
+from tests.services.certs.conftest import LIMITED, Secured, until
 from tests.services.loop import checkpoint, play, scans, smoke_start
 from tests.zenoh_device import Device, simulated
 
@@ -96,23 +97,27 @@ def _readers(message: type[Message]) -> set[str]:
 
 
 def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured) -> None:
-    """Each holder shows tokens of every role and answers every question; metrics, operator and observer ask."""
+    """Each holder shows tokens of every role and answers every question; metrics, operator and observer ask.
+
+    Under the name on its certificate: any other name is dropped, whatever the role.
+    """
     kept: list[Any] = []
     with _sessions(secured) as askers, _sessions(secured) as sessions:
         for holder, session in sessions.items():
             for role in Role:
-                kept.append(session.liveliness().declare_token(_key(ALIVE, role, holder)))
-                kept += [_answering(session, _key(form, role, holder), holder) for form in (TIMESTAMPS, EXPOSITION)]
+                for name in (f"{holder}.here", f"{holder}.there", f"{role}.here"):
+                    kept.append(session.liveliness().declare_token(_key(ALIVE, role, name)))
+                    kept += [_answering(session, _key(form, role, name), holder) for form in (TIMESTAMPS, EXPOSITION)]
             kept.append(_answering(session, QUERY.format(metric="runs"), holder))
         processes = set(HOLDERS) - {OBSERVER, COMMANDER, FRONT_END, Role.ROUTER}
-        shown = {role: [str(role)] for role in Role if role in processes}
+        shown = {role: [f"{role}.here"] for role in Role if role in processes}
         seeing = [session for holder, session in askers.items() if holder != FRONT_END]
         assert until(lambda: all(alive(session, build()).names == shown for session in seeing))
         time.sleep(SETTLE_S)
         assert not alive(askers[FRONT_END], build()).names
         for session in seeing:
             assert alive(session, build()).names == shown
-        own = {f"{role}/{role}" for role in processes}
+        own = {f"{role}/{role}.here/{role}" for role in processes}
         expected: dict[tuple[str, str], set[str]] = {(asker, form): set() for asker in HOLDERS for form in FORMS}
         expected |= {(asker, QUERY): {"metrics"} for asker in (Role.OPERATOR, Role.METRICS, OBSERVER, COMMANDER)}
         expected |= {(Role.OPERATOR, TIMESTAMPS): own, (Role.METRICS, EXPOSITION): own}
@@ -126,7 +131,7 @@ def _key(form: str, role: str, name: str) -> str:
 def _answering(session: zenoh.Session, key: str, holder: str) -> Any:
     def answer(query: zenoh.Query) -> None:
         with query:
-            of_role = "" if key == QUERY.format(metric="runs") else key.split("/")[3] + "/"
+            of_role = "" if key == QUERY.format(metric="runs") else "/".join(key.split("/")[3:5]) + "/"
             query.reply(key, (of_role + holder).encode())
 
     return session.declare_queryable(key, answer, complete=True)
@@ -143,7 +148,9 @@ def test_a_planner_with_slots_says_nothing_of_other_tracks(secured: Secured) -> 
     """On any key: what the router lets pass is on a key with its slots, and there no reader believes it."""
     inbox, kept = Inbox(build()), list[Any]()
     received: set[tuple[str, str]] = set()
-    tokens = [_key(ALIVE, Role.PLANNER, name) for name in ("p", "p@0-15", "p@0-7", "p@8-9", "p@8-15", "q@8-15")]
+    own = LIMITED.partition("@")[0]
+    limits = ("", "@0-15", "@0-7", "@8-9", "@8-15")
+    tokens = [_key(ALIVE, Role.PLANNER, name) for name in (*(own + limit for limit in limits), "q@8-15")]
     with secured.limited() as planner, _sessions(secured) as readers:
         for holder in (Role.ALLOCATOR, Role.RECORDER, Role.PLANNER):
             for topic in TOPICS:
@@ -179,7 +186,35 @@ def test_a_planner_with_slots_says_nothing_of_other_tracks(secured: Secured) -> 
         assert until(sent)
         assert sent()
         assert received == expected
-        assert alive(readers[Role.OPERATOR], build()).names == {Role.PLANNER: ["p@8-15", "q@8-15"]}
+        assert alive(readers[Role.OPERATOR], build()).names == {Role.PLANNER: [LIMITED]}
+
+
+def test_of_many_tokens_of_one_certificate_one_counts(secured: Secured) -> None:
+    """Two hundred names of a planner once were given tracks. Claims to runs and builds are under its name, too."""
+    names = [f"ghost-{i}" for i in range(200)]
+    with secured.session(Role.PLANNER) as planner, secured.session(Role.ALLOCATOR) as allocator:
+        kept = [planner.liveliness().declare_token(_key(ALIVE, Role.PLANNER, name)) for name in names]
+        for name in ("ghost", "allocator.here"):
+            share = SHARE.format(
+                protocol=PROTOCOL, build=build(), role=Role.ALLOCATOR, shard=3, moment=f"{1:020d}-00000000", name=name
+            )
+            kept.append(allocator.liveliness().declare_token(share))
+        strange = [
+            ALIVE.format(protocol=PROTOCOL, build=f"b{i}", role=Role.PLANNER, name="planner.here") for i in (1, 2)
+        ]
+        kept += [
+            planner.liveliness().declare_token(key) for key in (*strange, _key(ALIVE, Role.PLANNER, "planner.here"))
+        ]
+        with secured.session(Role.PLANNER) as reader:
+            assert until(lambda: names_alive(reader, build(), Role.PLANNER) == ["planner.here"])
+            time.sleep(SETTLE_S)
+            assert names_alive(reader, build(), Role.PLANNER) == ["planner.here"]
+            assert len(alive(reader, build()).strangers) == 1
+        with secured.session(Role.ALLOCATOR) as reader:
+            shares = reader.liveliness().get(re.sub(r"\{\w+\}", "*", SHARE), timeout=2.0)
+            assert {str(one.ok.key_expr).split("/")[-1] for one in shares if one.ok is not None} == {"allocator.here"}
+        for token in kept:
+            token.undeclare()
 
 
 def _tracks(message: Message) -> object:
@@ -203,7 +238,9 @@ def test_only_the_emulator_asks_front_ends_and_each_answers_for_its_own_name(sec
         assert until(lambda: all(answers(Role.EMULATOR, one.key_of("here")) for one in EXCHANGES))
         time.sleep(SETTLE_S)
         found = {(holder, key): answers(holder, key) for holder in HOLDERS for key in keys}
-    expected = {(Role.EMULATOR, one.key_of("here")): {"here/frontend"} for one in EXCHANGES}
+    expected = {
+        (Role.EMULATOR, one.key_of("here")): {f"here/{one.key.rpartition('/')[2]}/frontend"} for one in EXCHANGES
+    }
     assert {asked: said for asked, said in found.items() if said} == expected
 
 
@@ -247,15 +284,25 @@ def test_truth_and_questions_are_for_few() -> None:
 
 def test_a_limited_planner_is_another_subject() -> None:
     control = access.access_control(["planner.a", "planner.b@0-7", "planner.c@8-15", "planner.d@0-7"])
-    assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
+    assert _policies(control) == {
         "planner": ["planner.a"],
         "planner@0-7": ["planner.b@0-7", "planner.d@0-7"],
         "planner@8-15": ["planner.c@8-15"],
+        **{name: [name] for name in ("planner.a", "planner.b@0-7", "planner.c@8-15", "planner.d@0-7")},
     }
     assert len({rule["id"] for rule in control["rules"]}) == len(control["rules"])
     rules = {rule["id"]: rule["key_exprs"] for rule in control["rules"]}
     plans = [key for key in rules["planner@0-7-send-ingress"] if "/plan/" in key]
     assert plans == [BY_MESSAGE[Plan].pattern("*", slots="0-7")]
+
+
+def _policies(control: dict[str, Any]) -> dict[str, list[str]]:
+    """The names on certificates that each set of rules is for."""
+    names = {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]}
+    return {
+        one["rules"][0].rpartition("-")[0].rpartition("-")[0]: [name for of in one["subjects"] for name in names[of]]
+        for one in control["policies"]
+    }
 
 
 @pytest.mark.parametrize("name", ["planner.a@", "planner.a@7-0", "planner.a@0-16", "planner.a@3", "recorder.a@0-7"])
@@ -267,9 +314,11 @@ def test_slots_that_make_no_sense_are_refused(name: str) -> None:
 def test_a_role_without_a_certificate_stands_for_nobody() -> None:
     control = access.access_control(["planner.a", "planner.b", "observer.c"])
     assert control["default_permission"] == "deny"
-    assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
+    assert _policies(control) == {
         "planner": ["planner.a", "planner.b"],
         "observer": ["observer.c"],
+        "planner.a": ["planner.a"],
+        "planner.b": ["planner.b"],
     }
     assert {rule["permission"] for rule in control["rules"]} == {"allow"}
 

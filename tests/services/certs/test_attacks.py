@@ -65,8 +65,8 @@ class Services:
     def _be(self, role: Role) -> None:
         make = SERVICES[role].core
         assert make is not None
-        core = make(Start(f"{role}-0", self._store, http="off"))
-        bus = self.buses[role] = ZenohBus(self._secured.session(role), role, f"{role}-0")
+        core = make(Start(f"{role}.here", self._store, http="off"))
+        bus = self.buses[role] = ZenohBus(self._secured.session(role), role, f"{role}.here")
         if isinstance(core, MetricsCore):
             bus.serve_queries(core.answer)
         try:
@@ -170,7 +170,7 @@ def test_a_run_ends_with_its_digest_whatever_is_tried(
     monkeypatch.setenv(CONFIG_VARIABLE, secured.file("operator"))
     start = smoke_start(dwells=DWELLS, run=RUN)
     services.start(Role.RECORDER, Role.METRICS, Role.EMULATOR, Role.PLANNER)
-    bus = ZenohBus(secured.session("operator"), Role.OPERATOR, "operator-0", reads=False)
+    bus = ZenohBus(secured.session("operator"), Role.OPERATOR, "operator.here", reads=False)
     sessions = {holder: secured.session(holder) for holder in HOLDERS} | {LIMITED: secured.limited()}
     try:
         bus.publish(start)

@@ -76,29 +76,32 @@ def foreign(tmp_path: Path, name: str, issuer: str) -> str:
 @pytest.mark.parametrize("role", Role)
 def test_each_role_starts_with_its_own(role: Role, is_told: Callable[[str], None]) -> None:
     is_told(f"{role}.a")
-    assert own.process_name(role, "p", HERE) == "p"
+    assert own.process_name(role, "p", HERE) == f"{role}.a"
 
 
 @pytest.mark.parametrize(
-    ("certificate", "name", "found"),
+    ("certificate", "name"),
     [
-        ("planner.a", "p@0-7", "p@0-7"),  # who may plan for all may limit itself
-        ("planner.a@0-15", "p@0-7", "p@0-7"),
-        ("planner.a@0-15", "p", "p"),
-        ("planner.a@0-7", "p", "p@0-7"),
-        ("planner.a@0-7", "p@0-7", "p@0-7"),
+        ("planner.a", "p"),
+        ("planner.a", "p@0-15"),
+        ("planner.a@0-15", "p"),
+        ("planner.a@0-7", "p"),
+        ("planner.a@0-7", "p@0-7"),
     ],
 )
-def test_a_planner_has_the_slots_of_its_certificate(
-    certificate: str, name: str, found: str, is_told: Callable[[str], None]
+def test_a_planner_has_the_name_and_the_slots_of_its_certificate(
+    certificate: str, name: str, is_told: Callable[[str], None]
 ) -> None:
     is_told(certificate)
-    assert own.process_name(Role.PLANNER, name, HERE) == found
+    assert own.process_name(Role.PLANNER, name, HERE) == certificate
 
 
-def test_other_slots_than_on_the_certificate_are_refused(is_told: Callable[[str], None]) -> None:
-    is_told("planner.a@0-7")
-    with pytest.raises(BadInput, match=r"--name: behind @ must be 0-7 as on the certificate, planner\.a@0-7"):
+@pytest.mark.parametrize(("certificate", "slots"), [("planner.a@0-7", "0-7"), ("planner.a", "0-15")])
+def test_other_slots_than_on_the_certificate_are_refused(
+    certificate: str, slots: str, is_told: Callable[[str], None]
+) -> None:
+    is_told(certificate)
+    with pytest.raises(BadInput, match=f"--name: behind @ must be {slots} as on the certificate, {certificate};"):
         own.process_name(Role.PLANNER, "p@0-3", HERE)
 
 
@@ -109,7 +112,7 @@ def test_a_service_starts_under_the_name_with_its_slots(
     served: list[str] = []
     monkeypatch.setattr(process, "_serve", lambda _service, start, *_: served.append(start.name))
     process.be(Role.PLANNER, Start("p"), connect=f"{OPEN},{HERE}", listen=OPEN, stop=threading.Event())
-    assert served == ["p@0-7"]
+    assert served == ["planner.a@0-7"]
 
 
 @pytest.mark.parametrize(
@@ -157,7 +160,7 @@ def test_a_router_is_known_by_what_it_listens_with(told: Told, folder: Path, tmp
         settings = json.loads((folder / name / names.SETTINGS).read_text())["transport"]["link"]["tls"]
         file.write_bytes(b64decode(settings["connect_certificate_base64"]))
     told(listen_certificate=str(files["router.a"]), connect_certificate=str(files["operator.a"]))
-    assert own.process_name(Role.ROUTER, "router", HERE) == "router"
+    assert own.process_name(Role.ROUTER, "router", HERE) == "router.a"
     assert own.check(HERE, own.ASKING) == "operator.a"
 
 

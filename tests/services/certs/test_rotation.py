@@ -27,7 +27,7 @@ from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import smoke_start
 
 START = smoke_start(dwells=1500, run="rotated")
-LOCAL, OTHER = "planner.local", "planner.other"
+LOCAL, OTHER = "planner.0", "planner.9"
 WITHIN_S = 120.0
 
 
@@ -64,7 +64,7 @@ class _Watched:
 @contextmanager
 def _planner(launcher: Launcher, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """One more, with a certificate of its own."""
-    command = [sys.executable, "-m", "cogradar", "service", "planner", "--name", "planner-9"]
+    command = [sys.executable, "-m", "cogradar", "service", "planner", "--name", OTHER]
     environment = os.environ | {CONFIG_VARIABLE: str(folder / OTHER / names.SETTINGS)}
     command += ["--connect", launcher.endpoint]
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
@@ -84,28 +84,28 @@ def test_a_run_goes_on_while_certificates_are_replaced_and_revoked(
     kernels.compile_all(lambda _: None)
     folder, store = tmp_path / "certs", str(tmp_path / "runs.db")
     authority.create(folder, 2)
-    authority.issue(folder, [*(f"{role}.local" for role in Role), OTHER], ["127.0.0.1"], 1)
-    monkeypatch.setenv(CONFIG_VARIABLE, str(folder / "operator.local" / names.SETTINGS))
+    authority.issue(folder, [*(f"{role}.0" for role in Role), OTHER], ["127.0.0.1"], 1)
+    monkeypatch.setenv(CONFIG_VARIABLE, str(folder / "operator.0" / names.SETTINGS))
     launcher = Launcher(LocalProcesses(1, store), threading.Event()).with_certificates(folder)
     with launcher, closing(_Watched(launcher)) as watched, _planner(launcher, folder) as other:
-        watched.until_planners("planner-0", "planner-9")
+        watched.until_planners(LOCAL, OTHER)
         watched.until(lambda: len(watched.bus.alive().names) == len(Role) - 1)  # all but the router
         watched.bus.publish(START)
         watched.until_dwells(16)
 
         shutil.rmtree(folder / LOCAL)
         authority.issue(folder, [LOCAL], [], 1)
-        launcher.signal("planner-0", signal.SIGTERM)
-        watched.until_planners("planner-9")
-        watched.until_planners("planner-0", "planner-9")
+        launcher.signal(LOCAL, signal.SIGTERM)
+        watched.until_planners(OTHER)
+        watched.until_planners(LOCAL, OTHER)
         assert not watched.until_dwells(16).ended
 
         listed = [name for name in names.allowed(str(folder / names.ALLOWED)) if name != OTHER]
         (folder / names.ALLOWED).write_text("\n".join(listed))
-        launcher.signal("router-0", signal.SIGTERM)
-        watched.until_planners("planner-0")
+        launcher.signal("router.0", signal.SIGTERM)
+        watched.until_planners(LOCAL)
         assert watched.until_dwells(10**9).ended
-        watched.until_planners("planner-0")
+        watched.until_planners(LOCAL)
         assert other.poll() is None  # it is there, and nobody hears it
         with closing(Journal(store, read_only=True)) as journal:
             (run,) = journal.read("SELECT status, digest FROM run")
