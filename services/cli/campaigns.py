@@ -233,23 +233,31 @@ def report(
 
     Runs of different scenarios, or numbers of dwells, are reported on one by
     one. Of runs of equal scenario, strategy, seed and dwells the newest counts.
+    Damaged runs are left out and named, with exit code 2; a PAGE is not written
+    then.
     """
     from cogradar.services.analysis import report_tables
+    from cogradar.services.analysis.report import report as report_on
     from cogradar.services.cli.terminal import print_tables
 
     with command(at_once=True):
         chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
-        found = [one for store in stores or [_newest()] for one in _report_on(store, chosen)]
+        found, damaged = list[dict[str, Any]](), list[Damaged]()
+        for file in stores or [_newest()]:
+            with _experiments(file, chosen, damaged) as (store, there):
+                found += [report_on(store, experiment) for experiment in there]
         if into:
+            for error in damaged:  # a page does not say what its tables are without
+                raise error
             report_tables.write(Path(into), found)
-    if as_json:
-        print_json(found[0] if len(found) == 1 else found)
-        return
-    for one in found:
-        say(report_tables.heading(one), style="bold")
-        say(report_tables.verdict(one))
-        print_tables(out, report_tables.tables(one))
-        say(report_tables.caption(one))
+        if as_json:
+            print_json(found[0] if len(found) == 1 else found)
+        for one in [] if as_json else found:
+            say(report_tables.heading(one), style="bold")
+            say(report_tables.verdict(one))
+            print_tables(out, report_tables.tables(one))
+            say(report_tables.caption(one))
+        _say_left_out(damaged)
 
 
 def _newest() -> str:
@@ -260,23 +268,26 @@ def _newest() -> str:
     return found
 
 
-def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
-    from cogradar.services.analysis.report import report as report_on
-
-    with _experiments(file, chosen) as (store, found):
-        return [report_on(store, experiment) for experiment in found]
+def _say_left_out(damaged: list[Damaged]) -> None:
+    """Name the runs that a result is without. Raises Damaged if there is one."""
+    for one in damaged:
+        say(f"left out: {one}", err)
+    if damaged:
+        raise Damaged(f"damaged runs that were left out: {len(damaged)}")
 
 
 @contextmanager
-def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, list[Experiment]]]":
-    """A store and what it holds of what was chosen; a failure names the file."""
+def _experiments(
+    file: str, chosen: dict[str, str], damaged: list[Damaged]
+) -> "Iterator[tuple[Store, list[Experiment]]]":
+    """A store and what it holds of what was chosen, without damaged runs; a failure names the file."""
     from cogradar.services.metrics import client as asking
     from cogradar.services.metrics.experiments import experiments
     from cogradar.services.metrics.selection import Selection
 
     with closing(asking.open_store(file)) as store:
         try:
-            yield store, experiments(store, Selection.of(chosen))
+            yield store, experiments(store, Selection.of(chosen), damaged.append)
         except BadInput as error:
             raise BadInput(f"{store.journal.path}: {error}") from None
 
@@ -304,16 +315,18 @@ def figures(
     from cogradar.services.analysis.drawing import figures as drawing
 
     chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
-    files: list[Path] = []
-    with command(at_once=True), _experiments(store or _newest(), chosen) as (opened, found):
+    damaged = list[Damaged]()
+    with command(at_once=True), _experiments(store or _newest(), chosen, damaged) as (opened, found):
+        files = list[Path]()
         for experiment in found:
             place = Path(folder) if len(found) == 1 else Path(folder, experiment.label)
             try:
                 files += drawing.draw_all(opened, experiment, place, err.print)
             except OSError as error:
                 raise RunFailed(str(error)) from None
-    for file in files:
-        out.print(str(file), soft_wrap=True)
+        for file in files:
+            out.print(str(file), soft_wrap=True)
+        _say_left_out(damaged)
 
 
 class StoreAction(StrEnum):

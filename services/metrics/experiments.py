@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.errors import BadInput
-from cogradar.services.metrics.selection import Run, Selection, distinct
+from cogradar.services.errors import BadInput, Damaged
+from cogradar.services.metrics.selection import Run, Selection, distinct, refuse
 from cogradar.services.metrics.store import Store
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
@@ -63,9 +63,13 @@ class Experiment:
         return np.array(tables).reshape(len(tables), self.dwells, self.of(strategy)[0]["n_target"], -1)
 
 
-def experiments(store: Store, selection: Selection) -> list[Experiment]:
-    """The experiments with complete runs that a selection allows. Raises BadInput if there is none."""
-    chosen = distinct(store, selection)
+def experiments(store: Store, selection: Selection, left_out: Callable[[Damaged], None] = refuse) -> list[Experiment]:
+    """The experiments with complete runs that a selection allows. Raises BadInput if there is none.
+
+    left_out : gets what is damaged of each run that is left out; if no other one is there, it is raised
+    """
+    damaged = list[Damaged]()
+    chosen = distinct(store, selection, damaged.append)
     listed = [run for run in chosen if run["status"] in BROKEN and run["has_truth"] and run["dwells"] != NO_END]
     runs = [run for run in chosen if run in listed or not _obstacle(run)]
     (documents,) = store.read("SELECT COUNT(DISTINCT document) AS n FROM run")
@@ -74,12 +78,13 @@ def experiments(store: Store, selection: Selection) -> list[Experiment]:
         mine = [run for run in runs if (run["experiment"], _dwells(run)) == (number, dwells)]
         mine.sort(key=lambda run: (run["seed"], run["run"]))
         complete, failed = (tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), BROKEN))
-        store.damage(run["run"] for run in mine)
         if complete and (row := store.whole_row(complete[0]["run"])):
             document = json.loads(row["document"])
             name, title = mine[0]["scenario"], document["title"]
             alone = documents["n"] == 1 and document["radar"]["planner"]["rule"] not in TRUE_RULES
             found.append(Experiment(name, name, title, alone, row["document"], dwells, complete, failed))
+    for error in damaged:
+        (left_out if found else refuse)(error)
     if not found:
         of = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
         last = chosen[-1] if chosen else None

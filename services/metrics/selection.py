@@ -1,11 +1,11 @@
 """Which runs, targets and dwells a question is about: its parameters, checked, and the runs that they select."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Self
 
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, Damaged
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.scenario.limits import NO_END
@@ -111,14 +111,27 @@ class Selection:
         return rows[self.offset : None if self.limit is None else self.offset + self.limit]
 
 
-def distinct(store: Store, selection: Selection) -> list[Run]:
+def refuse(error: Damaged) -> None:
+    """Of a damaged run: raise what is said of it."""
+    raise error
+
+
+def distinct(store: Store, selection: Selection, left_out: Callable[[Damaged], None] = refuse) -> list[Run]:
     """The runs that a selection allows, in the order in which they began; of equal ones the newest complete one.
 
     Equal are runs of one scenario document, strategy, seed and number of dwells: to pool them would count the same
     random numbers twice. Runs of one scenario document and number of dwells have one number as their `experiment`.
+
+    left_out : gets what is damaged of each run that is left out; a row that is damaged may be one that was asked for
     """
-    store.check_rows()
     condition, values = selection.of_runs
+    there = store.read(f"SELECT run, {condition} AS is_chosen FROM run ORDER BY place", values)
+    damaged = store.damaged_rows(row["run"] for row in there if row["is_chosen"] or "run" not in selection.filters)
+    damaged |= store.damaged_scores(row["run"] for row in there if row["is_chosen"])
+    for error in damaged.values():
+        left_out(error)
+    if damaged:
+        condition, values = f"{condition} AND run NOT IN ({','.join('?' * len(damaged))})", [*values, *damaged]
     runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY place", values)
     return [run for run in runs if run["repetition"] == 1]
 

@@ -83,10 +83,9 @@ class Store:
         with self._lock:
             return self.journal.whole_row(run)
 
-    def check_rows(self, runs: Iterable[str] | None = None) -> None:
-        """Raises Damaged if the row of a run, of these or of all, is not as it was written; of an ended run once."""
-        names = [row["run"] for row in self.read("SELECT run FROM run ORDER BY place")] if runs is None else runs
-        for error in self.damaged_rows(names).values():
+    def check_rows(self, runs: Iterable[str]) -> None:
+        """Raises Damaged if the row of one of these runs is not as it was written; of an ended run once."""
+        for error in self.damaged_rows(runs).values():
             raise error
 
     def damaged_rows(self, runs: Iterable[str]) -> dict[str, Damaged]:
@@ -103,11 +102,14 @@ class Store:
                     found[row["run"]] = error
         return found
 
+    def damaged_scores(self, runs: Iterable[str]) -> dict[str, Damaged]:
+        """Which of these runs have something damaged among what was scored."""
+        return {run: self._damaged[run] for run in runs if run in self._damaged}
+
     def damage(self, runs: Iterable[str]) -> None:
         """Raises Damaged if what was scored of one of these runs is damaged."""
-        for run in runs:
-            if run in self._damaged:
-                raise self._damaged[run]
+        for error in self.damaged_scores(runs).values():
+            raise error
 
     def scored(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT of the scores of runs that were derived, and of these runs' own rows without documents."""

@@ -1,5 +1,6 @@
 """Bytes of a store that something else has changed are found, named, and not believed; other runs go on."""
 
+import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -299,9 +300,38 @@ def test_a_command_names_what_is_damaged_and_what_to_do(name: str, command: str,
 @pytest.mark.parametrize("table", SCORES)
 def test_a_report_believes_no_score_that_was_changed(name: str, table: str) -> None:
     _damage(name, table, "k", np.random.default_rng(3))
-    done = CliRunner().invoke(app, ["report", name])
+    done = CliRunner().invoke(app, ["report", "--run", KEPT, name])
     assert done.exit_code == 2, done.output
     assert f"run '{KEPT}', tables score and picture" in " ".join(done.output.split())
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize(("table", "column"), [("score", "k"), ("run", "seed")])
+def test_reports_and_figures_are_of_the_other_runs_and_name_the_damaged_one(
+    name: str, table: str, column: str, tmp_path: Path
+) -> None:
+    """Of two equal runs the newer one is damaged: the older one counts then."""
+    _damage(name, table, column, np.random.default_rng(3), KEPT)
+    done = CliRunner().invoke(app, ["report", "--json", name])
+    assert done.exit_code == 2, done.output
+    assert json.loads(done.stdout)["first"]["digest"] == _digest(name, ENDED)
+    said = " ".join(done.stderr.split())
+    assert f"run '{KEPT}', table" in said
+    assert (said.count(f"run {KEPT!r}"), said.count("store check"), said.endswith("left out: 1")) == (1, 1, True)
+    page = tmp_path / "page.md"
+    page.write_text("<!-- report -->\n")
+    into = CliRunner().invoke(app, ["report", "--into", str(page), name])
+    assert (into.exit_code, into.stdout, page.read_text()) == (2, "", "<!-- report -->\n")
+    drawn = CliRunner().invoke(app, ["figures", "--out", str(tmp_path / "figures"), name])
+    assert (drawn.exit_code, drawn.stderr.split()[:2]) == (2, ["left", "out:"])
+    assert list((tmp_path / "figures").glob("*.png"))
+    other = CliRunner().invoke(app, ["report", "--run", ENDED, name])
+    assert (other.exit_code, other.stderr) == (0, "")
+
+
+def _digest(name: str, run: str) -> str:
+    (found,) = [row["digest"] for row in _runs(name) if row["run"] == run]
+    return str(found)
 
 
 def test_the_runs_that_are_intact_can_be_copied(name: str, tmp_path: Path) -> None:
