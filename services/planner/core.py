@@ -52,6 +52,7 @@ class PlannerCore:
         self._is_one_gone = False  # of the planners that were there since this one is: its tracks are not offered
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
+        self._late: dict[str, set[str]] = {}  # of a run: workers that were suspended because they brought no plans
         self._overdue: dict[str, dict[int, _Overdue]] = {}  # of a run, by track
         self._changed_s: dict[str, float] = {}  # of a run: when its tracks changed owners, as one had gone or was late
         self._tell_s: dict[str, float] = {}  # of a run: when its progress is told next
@@ -90,7 +91,15 @@ class PlannerCore:
         return (self._failed[error.run],)
 
     def _forget(self, run: str) -> None:
-        for known in (self._runs, self._suspended, self._overdue, self._changed_s, self._failed, self._refused):
+        for known in (
+            self._runs,
+            self._suspended,
+            self._late,
+            self._overdue,
+            self._changed_s,
+            self._failed,
+            self._refused,
+        ):
             known.pop(run, None)
 
     def _handle(self, event: Event) -> Iterable[Message | Flush]:
@@ -101,7 +110,7 @@ class PlannerCore:
                 return self._receive(self._runs[event.run], event)
             case Scan():
                 self._pending.add(event)
-            case NoPlans(ends=False) if event.run in self._runs and event.process != self._name:
+            case NoPlans(ends=False, late=False) if event.run in self._runs and event.process != self._name:
                 return self._excuse(event.run, event.process)
             case Membership():
                 there = {*event.names, self._name}
@@ -171,7 +180,8 @@ class PlannerCore:
         if name in self._failed:
             return (self._failed[name],)
         if name in self._runs and not self._runs[name].resend.is_rewound_by(checkpoint):
-            return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
+            answers = [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
+            return [*answers, *self._tell_late(name)]
         try:
             load_for("planner", checkpoint.radar, checkpoint.strategy)
             self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
@@ -238,11 +248,22 @@ class PlannerCore:
             late |= found
             suspended |= dict.fromkeys(found, until_s)
         self._forgive(name)
-        if lost := sorted(late & suspended.keys()):
+        if late & suspended.keys():
             self._changed_s[name] = self._now_s
-            more = f" and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
-            log.warning("%s: no plans from %s%s: others take its tracks", name, ", ".join(lost[:NAMED]), more)
+            self._late[name] = (self._late.get(name, set()) | late) & suspended.keys()
+            log.warning("%s: %s", name, self._said_late(name))
         return self._own(name)
+
+    def _said_late(self, name: str) -> str:
+        """Which workers are suspended as they brought no plans, all requests together; "": none."""
+        late = sorted(self._late.get(name, set()) & self._suspended.get(name, {}).keys())
+        more = f" and {len(late) - NAMED} more" if len(late) > NAMED else ""
+        return f"{', '.join(late[:NAMED])}{more}: no plans; others take their tracks" if late else ""
+
+    def _tell_late(self, name: str) -> Sequence[Message]:
+        """Let the recorder say what the run waits for, or has waited for."""
+        said = self._said_late(name)
+        return (NoPlans.of(name, self._name, said, ends=False).model_copy(update={"late": True}),) if said else ()
 
     def _forgive(self, name: str) -> None:
         """Suspend none where all planners that may plan for some track are suspended."""

@@ -222,7 +222,8 @@ class RecorderCore:
         """A process cannot do its part of a run: end it, or say in the journal what it waits for."""
         if (run := self._runs.get(by.run)) is None or run.end is not None:
             return ()
-        reason = f"{by.process}: {by.reason}"[:MAX_REASON]
+        names_others = isinstance(by, NoPlans) and by.late
+        reason = by.reason if names_others else f"{by.process}: {by.reason}"[:MAX_REASON]
         if by.ends:
             end = {"run": by.run, "k": max(run.k - 1, 0), "t": run.t, "status": "failed", "reason": reason}
             return self._end(RunEnd.model_validate(end))

@@ -133,7 +133,9 @@ class RecordedRun:
     @property
     def hindrances(self) -> str:
         """What processes cannot do their part for."""
-        return "; ".join(self._hindered[process] for process in sorted(self._hindered))[:MAX_REASON]
+        # Several planners say the same of late ones.
+        said = dict.fromkeys(self._hindered[process] for process in sorted(self._hindered))
+        return "; ".join(said)[:MAX_REASON]
 
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""

@@ -36,13 +36,15 @@ class _Unable(Message):
     ends: bool  # the same happens in any process, or no other one could do it: the run fails
 
     @classmethod
-    def of(cls, run: str, process: str, error: Exception, *, ends: bool) -> Self:
-        """With the text of an exception."""
+    def of(cls, run: str, process: str, error: object, *, ends: bool) -> Self:
+        """With a text, such as an exception's."""
         return cls(run=run, process=process, reason=printable(str(error))[:MAX_WHY] or "?", ends=ends)
 
 
 class NoPlans(_Unable):
     """planner -> recorder, planners: others take its tracks."""
+
+    late: bool = False  # the reason names planners that brought no plans, and the sender does its part
 
 
 class NoWaveforms(_Unable):

@@ -145,7 +145,7 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
     WaveformRecall: ({"k": 0}, {"k": LAST}),
     NoPlans: (
         {"process": "p", "reason": "?"},
-        {"process": LONGEST + "@0-15", "reason": "\u03bb \u2265 0.5: " + "\u00b2" * 380},
+        {"process": LONGEST + "@0-15", "reason": "\u03bb \u2265 0.5: " + "\u00b2" * 380, "late": True},
     ),
     NoWaveforms: ({"process": "a", "reason": "?"}, {"reason": "x" * 400}),
     History: (

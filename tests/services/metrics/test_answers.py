@@ -13,6 +13,7 @@ from cogradar.services.recorder.store.database import Database
 from cogradar.services.runs.run import PICTURE, result
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import NoPlans
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, scans, smoke_start
@@ -86,6 +87,14 @@ def test_a_run_in_progress_says_why_nothing_was_measured(sent: list[Message]) ->
     (run,) = answer(_recorded(said), "runs", {})
     assert run["fault"] == "no packet"
     assert run["waiting_for"].endswith("plan of track 1, 2 at dwell 0; not measured: no packet")
+
+
+def test_a_run_in_progress_names_the_planners_that_brought_no_plans(sent: list[Message]) -> None:
+    """Two planners say the same of the others, which stands there once."""
+    said = "n-1, n-2 and 4 more: no plans; others take their tracks"
+    late = [NoPlans(run="r", process=name, reason=said, ends=False, late=True) for name in ("a", "b")]
+    (run,) = answer(_recorded([*sent[:4], *late]), "runs", {})
+    assert run["waiting_for"] == f"a planner: plan of track 1, 2 at dwell 0; {said}"
 
 
 def test_a_run_in_progress_whose_scan_is_damaged_hides_no_other(sent: list[Message]) -> None:

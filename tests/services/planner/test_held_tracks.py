@@ -1,5 +1,6 @@
 """Tracks that change hands: nobody waits for the new owner, and the old one stops when that one plans."""
 
+import re
 from collections.abc import Iterable
 
 import pytest
@@ -9,7 +10,7 @@ from cogradar.services.planner.held_tracks import batches
 from cogradar.services.planner.ownership import owners
 from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
+from cogradar.shared.protocol.recovery import Handover, NoPlans, ScanRecall, Snapshot
 from cogradar.shared.wire.codec import encode
 from tests.services.loop import checkpoint, play, scans, smoke_begin, smoke_start
 
@@ -137,7 +138,7 @@ def test_a_worker_that_brings_no_plans_loses_its_tracks(heard: list[Scan], caplo
     core = PlannerCore("a")
     (mine,) = _planned(_after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]]))
     assert _planned(_after(core, [_overdue([1 - mine])])) == {1 - mine}  # of all dwells that are not acknowledged
-    assert "no plans from b" in caplog.text
+    assert "r: b: no plans; others take their tracks" in caplog.text
     assert core.measures() == {"tracks_owned": 2}
     _after(core, [Tick(1.0), Tick(SUSPENDED_S - 0.1)])
     assert core.measures() == {"tracks_owned": 2}
@@ -195,8 +196,31 @@ def test_names_without_a_process_keep_a_run_waiting_for_four_requests_at_most(
     core = PlannerCore("a")
     nobody = [f"n{i}" for i in range(n_name)]
     _after(core, [Membership("planner", ("a", *nobody)), smoke_begin(dwells=8), *heard[:-1]])
+    said = list[str]()
     for i in range(4):
-        planned = _planned(_after(core, [Tick(10.0 + (GRACE_S + 1.0) * i), _overdue([0, 1])]))
+        answers = _after(core, [Tick(10.0 + (GRACE_S + 1.0) * i), _overdue([0, 1])])
+        planned = _planned(answers)
+        said += _late(answers)
     assert _planned(_after(core, heard[-1:])) | planned == {0, 1}
-    if n_name == 200:
-        assert " and " in caplog.text
+    counts = [len(set(text.partition(":")[0].partition(" and ")[0].split(", "))) + _more(text) for text in said]
+    assert counts == sorted(counts)  # all requests together
+    assert min(n_name, 2) <= counts[-1] <= n_name
+    assert said[-1] in caplog.text
+    assert _late(_after(core, [checkpoint(START, 0, 0)])) == said[-1:]  # as long as it holds
+    assert _late(_after(core, [Tick(10.0 + SUSPENDED_S + 20.0), checkpoint(START, 0, 0)])) == []
+
+
+def _late(answers: Iterable[Message]) -> list[str]:
+    return [answer.reason for answer in answers if isinstance(answer, NoPlans) and answer.late]
+
+
+def _more(text: str) -> int:
+    return int((re.findall(r" and (\d+) more:", text) or ["0"])[0])
+
+
+def test_a_planner_that_names_late_ones_keeps_its_tracks(heard: list[Scan]) -> None:
+    core = PlannerCore("a")
+    (mine,) = _planned(_after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]]))
+    said = NoPlans(run="r", process="b", reason="c: no plans; others take their tracks", ends=False, late=True)
+    assert _planned(_after(core, [said, heard[-1]])) == {mine}
+    assert _planned(_after(core, [said.model_copy(update={"late": False})])) == {1 - mine}
