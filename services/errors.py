@@ -67,6 +67,10 @@ class Damaged(StoreFailed):
         self.run = run  # whose bytes they are; "": unknown, or the whole store
 
 
+class DamagedIndex(Damaged):
+    """Of an index of a store; no row is lost, and the text says what makes it anew."""
+
+
 class Deposed(Failure):
     """Another process took over the role of this one, which was frozen or cut off; this one has ended itself."""
 

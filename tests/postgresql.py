@@ -99,6 +99,14 @@ class Server:
             ((name, n),) = db.execute(query, [PAGE_BYTES, table]).fetchall()
         self._change(name, range(n))
 
+    def spoil_all(self, url: str, relation: str) -> None:
+        """The same in all pages of a table, or of an index."""
+        with psycopg.connect(url.partition("&schema")[0]) as db:
+            db.execute(f"SET search_path TO {url.partition('schema=')[2]}".encode())
+            query = "SELECT pg_relation_filepath(%s), pg_relation_size(%s::regclass) / %s"
+            ((name, n),) = db.execute(query, [relation, relation, PAGE_BYTES]).fetchall()
+        self._change(name, range(n))
+
     def _change(self, name: str, pages: Collection[int]) -> None:
         assert pages
         self.stop()

@@ -11,6 +11,7 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import BY_USER, Damaged
+from cogradar.services.recorder.damaged_runs import set_aside
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
@@ -77,7 +78,7 @@ class RecorderCore:
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
         self._uncommitted_ticks = self._behind_ticks = 0
         journal.lead()
-        for name, reason in journal.quarantine_damaged():
+        for name, reason in set_aside(journal):
             log.error("%s is set aside: %s", name, reason)
         if resume:
             for run in journal.unfinished():

@@ -82,7 +82,6 @@ class Journal(Database):
         n_target = (n_track or 0) if world is None else len(world["targets"])
         row = {
             "run": start.run,
-            "place": self.rows("SELECT COALESCE(MAX(place), 0) + 1 FROM run")[0][0],  # after all others
             "scenario": start.scenario["name"],
             "document": json.dumps(start.scenario, sort_keys=True, default=Rows.tolist),
             "strategy": start.strategy.value,
@@ -98,7 +97,9 @@ class Journal(Database):
         self._add_run(row)
 
     def _add_run(self, row: dict[str, Any]) -> bool:
-        """Add a run, unless it is there; whether it was not."""
+        """Add a run, unless it is there; whether it was not. Without a place it comes after all others."""
+        if "place" not in row:
+            row["place"] = self.rows("SELECT COALESCE(MAX(place), 0) + 1 FROM run")[0][0]
         row = sealed("run", _NEW | row)
         marks = ",".join("?" * len(row))
         statement = f"INSERT INTO run ({', '.join(row)}) VALUES ({marks}) ON CONFLICT (run) DO NOTHING"
@@ -197,18 +198,17 @@ class Journal(Database):
         except Damaged:  # the row keeps its checksum, and nothing else in it is believed
             self.write("UPDATE run SET status = ?, reason = ? WHERE run = ?", QUARANTINED, reason, run)
 
-    def quarantine_damaged(self) -> list[tuple[str, str]]:
-        """Set aside the runs whose own rows are damaged: names and reasons."""
+    def quarantine_place(self, place: int, reason: str) -> None:
+        """The same of the run in this place: its name may be another one by now."""
         self._running.clear()
-        found = list[tuple[str, str]]()
-        for row in self.read(f"SELECT {LISTED['run']} FROM run WHERE status <> ?", [QUARANTINED]):
-            try:
-                verify(self.path, "run", row)
-            except Damaged as error:  # also its name may be another one by now
-                query = "UPDATE run SET status = ?, reason = ? WHERE place = ?"
-                self.write(query, QUARANTINED, str(error), row["place"])
-                found.append((str(row["run"]), str(error)))
-        return found
+        self.write("UPDATE run SET status = ?, reason = ? WHERE place = ?", QUARANTINED, reason, place)
+
+    def add_unknown(self, run: str, reason: str) -> None:
+        """Add a run whose row is lost, set aside: a row that says no more, with a checksum that does not fit."""
+        row: dict[str, Any] = dict.fromkeys(("scenario", "strategy"), "") | {"document": "{}", "dt_s": 1.0}
+        row |= dict.fromkeys(("seed", "dwells", "rate_hz", "n_target", "has_truth", "began_s"), 0)
+        self._add_run(row | {"run": run, "status": QUARANTINED, "reason": reason})
+        self.write(f"UPDATE run SET {CHECKSUM} = {CHECKSUM} + 1 {_ONE}", run)
 
     @contextmanager
     def _or_aside(self, run: str) -> Iterator[None]:

@@ -61,6 +61,9 @@ class Connection(Protocol):
     def expire_after(self, seconds: float) -> None:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
 
+    def made_anew(self, table: str) -> str:
+        """Put the rows of a table that can be read in its place; what the old one is called, "": it cannot."""
+
     def faults(self) -> list[str]:
         """What is wrong with how the store is laid out, as far as it can tell."""
 
@@ -196,6 +199,10 @@ class Database:
     def expire_after(self, seconds: float) -> None:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
         self._connection.expire_after(seconds)
+
+    def made_anew(self, table: str) -> str:
+        """Put the rows of a table that can be read in its place; what the old one is called, "": it cannot."""
+        return self._connection.made_anew(table)
 
     def faults(self) -> list[str]:
         """What is wrong with how the store is laid out, as far as the kind of store can tell."""

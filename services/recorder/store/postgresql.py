@@ -15,7 +15,6 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
 from typing import Any, TypeVar
 from zlib import crc32
 
@@ -27,7 +26,8 @@ from psycopg.types.string import StrDumper
 from cogradar.services.errors import BadInput, Damaged, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.recorder.store.address import FORM, Address
 from cogradar.services.recorder.store.seal import damage
-from cogradar.services.recorder.store.tables import KINDS, SCHEMA_VERSION, definitions, described
+from cogradar.services.recorder.store.tables import KINDS, SCHEMA_VERSION, definitions, described, numbered
+from cogradar.services.recorder.store.unreadable import index_damage, made_anew
 from cogradar.shared.scenario.faults import printable
 
 OLDEST = 14  # version of the server: the first one that ends silent sessions
@@ -44,9 +44,8 @@ _SESSION = (
     # What is acknowledged is on a disk, whatever the server does by itself. More than that is the server's to say.
     " SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'"
 ).encode()
-_AWAY = re.compile(
-    "08|57P|25P03|25006|55P03"
-)  # states: lost or ended sessions, a server that begins, a replica, a lock
+# States: lost or ended sessions, a server that begins, a replica, a lock;
+_AWAY = re.compile("08|57P|25P03|25006|55P03")
 _FULL = re.compile("53|58|XX")  # no room, an I/O error, a fault of the server: another time it may be able to
 _DAMAGED = re.compile("XX00[12]|58P01")  # a page, an index, a file of the server that is missing
 _OF_RUN = re.compile(r"\bWHERE run = \?")
@@ -306,6 +305,10 @@ class PostgresqlConnection:
         names = [column.name for column in cursor.description or ()]
         return [dict(zip(names, row, strict=True)) for row in cursor]
 
+    def made_anew(self, table: str) -> str:
+        """Put the rows of a table that can be read in its place; what the old one is called from now on."""
+        return made_anew(self, table)
+
     def faults(self) -> list[str]:
         """The server looks after its pages, where it has checksums of them."""
         return []
@@ -381,19 +384,17 @@ class PostgresqlConnection:
         if _AWAY.match(state):
             return Unreachable(text)
         if _DAMAGED.match(state):
-            return damage(self.name, f"run {run!r}: {self._said(error)}" if run else self._said(error), run)
+            return self._damage(self._said(error), run)
         return NoRoom(text) if _FULL.match(state) else StoreFailed(text)
+
+    def _damage(self, said: str, run: str) -> Damaged:
+        """What cannot be read. An index is asked for in another session: a transaction here has failed."""
+        with suppress(Failure, psycopg.Error), self._connected() as other:
+            if (found := index_damage(other, self.name, self._address.schema, said, run)) is not None:
+                return found
+        return damage(self.name, f"run {run!r}: {said}" if run else said, run)
 
     def _said(self, error: Exception) -> str:
         """The first line of what the server, or its library, says, without a password."""
         said = " ".join(str(error).strip().splitlines()[:1]) or type(error).__name__
         return printable(self._address.masked(said))[:300]
-
-
-@lru_cache(maxsize=512)
-def numbered(statement: str) -> bytes:
-    """A statement with parameters as a server has them; tables of this process, from which `main.` tells others, it
-    has none.
-    """
-    first, *others = statement.replace("main.", "").split("?")
-    return "".join([first, *(f"${i}{part}" for i, part in enumerate(others, 1))]).encode()

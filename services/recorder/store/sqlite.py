@@ -114,6 +114,10 @@ class SqliteConnection:
         if not has_room(self.name):
             raise NoRoom(f"{self.name}: the disk is full")
 
+    def made_anew(self, _table: str) -> str:
+        """A file is as a whole: what is in other tables of it may be damaged, too."""
+        return ""
+
     def faults(self) -> list[str]:
         """What SQLite finds wrong with its pages."""
         lines = [line for (text,) in self.rows("PRAGMA quick_check(10)", ()) for line in text.splitlines()]

@@ -7,6 +7,7 @@ Tables `run`, `message`, `snapshot`, `command`, `dropped` and `leader` are the r
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
@@ -145,6 +146,15 @@ def definitions() -> list[str]:
             made.append(f"COMMENT ON COLUMN {one.name}.{column.name} IS {_quoted(unit + column.meaning)}")
     # Numbers in MessagePack hardly shrink.
     return [*made, "ALTER TABLE message ALTER payload SET STORAGE EXTERNAL"]
+
+
+@lru_cache(maxsize=512)
+def numbered(statement: str) -> bytes:
+    """A statement with parameters as a server has them; tables of this process, from which `main.` tells others, it
+    has none.
+    """
+    first, *others = statement.replace("main.", "").split("?")
+    return "".join([first, *(f"${i}{part}" for i, part in enumerate(others, 1))]).encode()
 
 
 def _quoted(text: str) -> str:

@@ -16,6 +16,7 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder import damaged_runs
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
@@ -232,7 +233,7 @@ def test_a_damaged_row_never_gets_a_checksum_that_fits(name: str, column: str) -
     """Whatever is written to it once its run is set aside."""
     _damage(name, "run", column, np.random.default_rng(1), LIVE)
     with closing(Journal(name, owner="recorder")) as journal:
-        journal.quarantine_damaged()
+        damaged_runs.set_aside(journal)
         journal.quarantine(LIVE, "again")
         with pytest.raises(Damaged, match=f"run '{LIVE}', table run"):
             journal.hinder(LIVE, "late")

@@ -2,9 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
+import psycopg
 import pytest
+from psycopg import sql
 from typer.testing import CliRunner
 
 from cogradar.services.cli.app import app
@@ -14,6 +17,7 @@ from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal, Retention
 from cogradar.services.recorder.store.check import check
+from cogradar.services.recorder.store.tables import SCHEMA_VERSION
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Command, Message, RunEnd
 from cogradar.shared.protocol.orders import PowerLimit
@@ -154,6 +158,162 @@ def test_a_damaged_snapshot_ends_its_run_only(
         core.handle(_end("last", sent))
         assert core.trouble == ""
         assert _status(journal) == {"bad": "quarantined", "last": "complete" if resume else "failed"}
+
+
+def _many(server: Server, sent: list[Message], long: str = "") -> tuple[str, list[str], list[str]]:
+    """A store whose table of runs has several pages; the runs on one of them, and others.
+
+    long : a run whose document is so long that the server keeps it on pages of its own
+    """
+    url = server.url("runs")
+    names = [f"run-{i:02}" for i in range(24)]
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal)
+        for run in names:
+            for message in sent[: 9 if run != names[0] else None]:
+                core.handle(message.model_copy(update={"run": run}))
+        journal.write("UPDATE run SET document = ? WHERE run = ?", np.random.default_rng(1).bytes(20_000).hex(), long)
+        journal.commit()
+        rows = journal.rows("SELECT run, ctid::text FROM run ORDER BY run")
+    pages = {run: ctid.partition(",")[0] for run, ctid in rows}
+    bad = [run for run in names if pages[run] == pages[names[-1]]]  # where the server puts new rows
+    assert 0 < len(bad) < len(names) - 2
+    assert long not in bad
+    return url, bad, [run for run in names if run not in bad]
+
+
+def test_a_page_of_the_table_of_runs_sets_the_runs_on_it_aside(server: Server, sent: list[Message]) -> None:
+    """A metrics that may only read goes on reading, and no row is lost: the page stays, for who can read more of it."""
+    url, bad, good = _many(server, sent)
+    with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
+        db.execute("CREATE ROLE metrics LOGIN; GRANT USAGE ON SCHEMA runs TO metrics")
+        db.execute("GRANT SELECT ON ALL TABLES IN SCHEMA runs TO metrics; GRANT SELECT ON runs.run TO PUBLIC")
+    server.spoil(url, "run", *bad)
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        assert core.trouble == ""
+        for run in [*good, "new"]:
+            for message in sent:
+                core.handle(message.model_copy(update={"run": run}))
+        assert core.handle(scans(sent)[0].model_copy(update={"run": bad[0]})) == ()
+        found = _status(journal)
+        reasons = {reason for (reason,) in journal.rows("SELECT reason FROM run WHERE status = 'quarantined'")}
+        assert not core.handle(Tick(0.0))
+    assert found == dict.fromkeys([*good, "new"], "complete") | dict.fromkeys(bad, "quarantined")
+    (reason,) = reasons
+    assert "its row is on a page that cannot be read, in table run_unreadable_" in reason
+    assert "invalid page in block" in reason
+    with closing(MetricsCore(url.replace("radar@", "metrics@"))) as metrics:
+        metrics.handle(Tick(0.0))
+        assert answer(metrics.store, "p_d", {"run": good[-1]})
+        assert {row["run"]: row["status"] for row in answer(metrics.store, "runs", {})} == found
+        with pytest.raises(BadInput, match=f"run '{bad[0]}', table run: its checksum does not fit"):
+            answer(metrics.store, "p_d", {"run": bad[0]})
+    with psycopg.connect(url.partition("&schema")[0]) as db:
+        ((old,),) = db.execute(
+            "SELECT relname FROM pg_class WHERE relkind = 'r' AND relname LIKE 'run\\_unreadable%'"
+        ).fetchall()
+        with pytest.raises(psycopg.errors.DataCorrupted):
+            db.execute(sql.SQL("SELECT * FROM runs.{}").format(sql.Identifier(old)))
+    assert {error.run for error in check(url)} == set(bad)
+
+
+def test_a_page_of_the_table_of_runs_that_is_met_while_they_go_on_sets_the_runs_on_it_aside(
+    server: Server, sent: list[Message]
+) -> None:
+    url, bad, good = _many(server, sent)
+    server.spoil(url, "run", *bad)
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        for tick in range(2 * LOOK_TICKS):
+            core.handle(Tick(tick / 4))
+        assert core.trouble == ""
+        assert _status(journal) == dict.fromkeys(good, "running") | dict.fromkeys(bad, "quarantined") | {
+            good[0]: "complete"
+        }
+
+
+def test_a_row_that_cannot_be_read_to_its_end_is_set_aside_with_the_page(server: Server, sent: list[Message]) -> None:
+    url, bad, good = _many(server, sent, long="run-03")
+    server.spoil_long(url, "run")
+    server.spoil(url, "run", *bad)
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        assert core.trouble == ""
+        found = _status(journal)
+    assert {run for run, status in found.items() if status == "quarantined"} == {*bad, "run-03"}
+    assert found.keys() == {*bad, *good}
+
+
+def test_a_page_of_the_leaders_holds_all_runs_until_they_are_deleted(server: Server, sent: list[Message]) -> None:
+    url = _filled(server, sent)
+    server.spoil_all(url, "leader")
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        assert "invalid page in block 0" in core.trouble
+        with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
+            db.execute("TRUNCATE runs.leader")
+        for tick in range(2 * LOOK_TICKS):
+            core.handle(Tick(tick / 4))
+        assert core.trouble == ""
+        assert _status(journal) == dict.fromkeys(RUNS, "running")
+
+
+def test_a_store_whose_version_cannot_be_read_is_opened_when_it_is_written_again(
+    server: Server, sent: list[Message]
+) -> None:
+    url = _filled(server, sent)
+    server.spoil_all(url, "store")
+    with pytest.raises(BadInput, match="invalid page in block 0"):
+        Journal(url, owner="recorder")
+    with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
+        db.execute("TRUNCATE runs.store")
+        db.execute("INSERT INTO runs.store VALUES (%s)", [SCHEMA_VERSION])
+    guide = Path(__file__).parents[4] / "docs" / "howto" / "postgresql.md"
+    assert f"cogradar.store VALUES ({SCHEMA_VERSION})" in guide.read_text(encoding="utf-8")
+    with closing(Journal(url, owner="recorder")) as journal:
+        assert Recorder(journal, resume=True).trouble == ""
+
+
+@pytest.mark.parametrize("index", ["run_pkey", "run_place_key", "leader_pkey"])
+def test_a_damaged_index_holds_all_runs_until_it_is_made_anew(server: Server, sent: list[Message], index: str) -> None:
+    url = _filled(server, sent)
+    server.spoil_all(url, index)
+    table = index.partition("_")[0]
+    cure = f"index {index} of table {table}: invalid page in block 0 of relation base/"
+    done = CliRunner().invoke(app, ["store", "check", url])
+    said = " ".join(done.output.split())
+    assert (done.exit_code, cure in said, f'REINDEX INDEX "runs"."{index}"' in said) == (2, True, True), said
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        assert cure in core.trouble
+        assert f'`REINDEX INDEX "runs"."{index}"` makes the index anew from its table' in core.trouble
+        for tick in range(2 * LOOK_TICKS):
+            core.handle(Tick(tick / 4))
+        assert cure in core.trouble
+        with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
+            db.execute(f'REINDEX INDEX "runs"."{index}"'.encode())
+        for tick in range(2 * LOOK_TICKS):
+            core.handle(Tick(tick / 4))
+        assert core.trouble == ""
+        assert _status(journal) == dict.fromkeys(RUNS, "running")
+
+
+def test_a_damaged_index_of_messages_is_named_with_its_cure(server: Server, sent: list[Message]) -> None:
+    url = _filled(server, sent)
+    server.spoil_all(url, "message_pkey")
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        reasons = [reason for (reason,) in journal.rows("SELECT reason FROM run")]
+    assert core.trouble == ""
+    assert all('REINDEX INDEX "runs"."message_pkey"' in reason for reason in reasons), reasons
+    with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
+        db.execute('REINDEX INDEX "runs"."message_pkey"')
+    assert check(url) == []
+    done = CliRunner().invoke(app, ["store", "copy", "--intact", url, target := str(server.url("saved"))])
+    assert done.exit_code == 0, done.output
+    with closing(Journal(target, read_only=True)) as journal:
+        assert _status(journal).keys() == {*RUNS}
 
 
 def test_a_check_names_all_runs_on_damaged_pages(server: Server, sent: list[Message]) -> None:

@@ -33,7 +33,8 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store import postgresql
 from cogradar.services.recorder.store.address import Address, shown
 from cogradar.services.recorder.store.copy import _add, copy
-from cogradar.services.recorder.store.postgresql import PostgresqlConnection, numbered
+from cogradar.services.recorder.store.postgresql import PostgresqlConnection
+from cogradar.services.recorder.store.tables import numbered
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
