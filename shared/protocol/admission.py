@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.protocol.fields import MIXTURE
+from cogradar.shared.protocol.fields import MIXTURE, are_among, is_all, is_any
 from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
@@ -34,7 +34,7 @@ def check_parts(message: Message, radar: RadarConfig, *, asks: bool = True) -> N
     values = vars(message)
     for part, names in message.PARTS.items():
         is_needed = IS_NEEDED[part](radar) and (asks or part not in IF_TRACKING)
-        if any((values[name] is not None) != is_needed for name in names):
+        if {values[name] is not None for name in names} != {is_needed}:
             settings = f"cells are {radar.receiver.cells}, tracks = {radar.tracks}"
             raise Refused(f"{type(message).__name__} {'without' if is_needed else 'with'} {part}: {settings}")
 
@@ -80,14 +80,14 @@ def check_scan(scan: Scan, radar: RadarConfig) -> None:
         raise Refused("scan with lost range cells, there are none")
     if bins.max() >= n_bin or (scan.t == 0 and not complete):
         raise Refused(f"scan of {bins.size} cells up to {bins.max()}")
-    if scan.unmeasured is not None and not np.isin(scan.beams, [-1, *bins.tolist()]).all():
+    if scan.unmeasured is not None and not are_among(scan.beams, np.append(bins, -1)):
         raise Refused("scan in which a beam is neither measured nor unmeasured")
     check_directions(scan.beams, scan.beam_nus, radar)
     if scan.nus is not None:
         _check_looks(scan, scan.nus, radar)
     if scan.roster is not None:
         _check_searching(scan, scan.roster, bins, n_bin)
-    elif scan.t > 0 and (scan.beams < 0).all():
+    elif scan.t > 0 and is_all(scan.beams < 0):
         raise Refused("scan of a dwell after the acquisition without any beam")
 
 
@@ -109,7 +109,7 @@ def _check_searching(scan: Scan, roster: Roster, bins: NDArray[np.int32], n_bin:
     if scan.t != scan.k + 1:
         raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: the acquisition is over")
     lit = np.asarray(scan.beam_nus)[scan.beams >= 0]
-    is_asked = scan.k > 0 and np.isin(_asked_nus(scan), np.concatenate((lit, roster.searched))).all()
+    is_asked = scan.k > 0 and are_among(_asked_nus(scan), np.concatenate((lit, roster.searched)))
     if not is_asked and np.unique(bins).size < n_bin:
         raise Refused(f"scan of dwell {scan.k} with cells other than its beams, the search's, or all")
 
@@ -138,23 +138,23 @@ def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> No
     columns = (scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas, scan.beam_nus)
     limits, ranges, nu_hats, sigmas, beam_nus = (np.asarray(column) for column in columns)
     asked = _asked_nus(scan)
-    if np.abs(nus).max(initial=0.0) > 0.5 or (angle_bin(nus, n_bin) != scan.bins).any():
+    if is_any(np.abs(nus) > 0.5) or is_any(angle_bin(nus, n_bin) != scan.bins):
         raise Refused("scan whose bins do not match the directions tested")
-    if asked.size != n_bin and not np.isin(beam_nus[scan.beams >= 0], asked).all():
+    if asked.size != n_bin and not are_among(beam_nus[scan.beams >= 0], asked):
         raise Refused("scan that lacks the direction of a beam")
     if nus.size == 0:
         return
-    if np.abs(nu_hats).max() > 0.5:
+    if is_any(np.abs(nu_hats) > 0.5):
         raise Refused(f"scan with a direction of {np.abs(nu_hats).max():g}")
-    if limits.min() <= 0.0 or ranges.min() < 0.0 or sigmas.min() < 0.0:
+    if is_any(limits <= 0.0) or is_any(ranges < 0.0) or is_any(sigmas < 0.0):
         raise Refused("limits must be > 0, ranges and standard deviations of directions >= 0")
-    if (ranges.max() > 0.0) != (receiver.range_cell_km > 0.0) or (sigmas.any() and not receiver.monopulse):
+    if is_any(ranges > 0.0) != (receiver.range_cell_km > 0.0) or (is_any(sigmas > 0.0) and not receiver.monopulse):
         raise Refused("scan that measures ranges or directions other than radar.receiver says")
 
 
 def check_directions(beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig) -> None:
     """Refuse beams of other bins than their directions say."""
-    if nus is not None and (angle_bin(nus, radar.array.n_bin) != beams)[beams >= 0].any():
+    if nus is not None and is_any((angle_bin(nus, radar.array.n_bin) != beams) & (beams >= 0)):
         raise Refused("beams whose bins do not match their directions")
 
 

@@ -45,6 +45,7 @@ from cogradar.shared.protocol.fields import (
     UtcSeconds,
     World,
     check_different,
+    is_any,
 )
 from cogradar.shared.protocol.orders import Action, Orders, Settings
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
@@ -202,7 +203,7 @@ class Scan(Message):
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
         if {self.bins.size} != {column.size for column in columns}:
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if self.bins.min(initial=0) < 0 or not self._ascends():
+        if is_any(self.bins < 0) or not self._ascends():
             raise ValueError("bins must be from 0, and they, or else nus, ascending")
         if self.unmeasured is not None:
             self._check_unmeasured(self.unmeasured)
@@ -210,18 +211,18 @@ class Scan(Message):
             raise ValueError("bins must be at least one, without a fault, unless something is unmeasured")
         elif not {-1, *self.bins.tolist()}.issuperset(self.beams.ravel().tolist()):
             raise ValueError("every beam must be one of bins, or -1")
-        if self.lost_km is not None and (self.lost_km.size == 0 or (self.lost_km[1:] <= self.lost_km[:-1]).any()):
+        if self.lost_km is not None and (self.lost_km.size == 0 or is_any(self.lost_km[1:] <= self.lost_km[:-1])):
             raise ValueError("lost_km must be ranges, at least one, ascending")
         if self.waveform_k is not None and self.waveform_k >= self.k - 1:
             raise ValueError(f"waveform_k must be below {self.k - 1}, where the usual waveform is not said")
-        if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
+        if is_any((self.statistic > 0.0) & (self.sigma_hat == 0.0)):
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_beams(self.beams, self.beam_nus, self.gates, self.roster)
         return self
 
     def _check_unmeasured(self, nus: NDArray[np.float64]) -> None:
         """ValueError unless these may be directions of looks that are not among the rows."""
-        if nus.size == 0 or (nus[1:] <= nus[:-1]).any() or np.abs(nus).max() > 0.5:
+        if nus.size == 0 or is_any(nus[1:] <= nus[:-1]) or is_any(np.abs(nus) > 0.5):
             raise ValueError("unmeasured must be directions, -0.5 .. 0.5, at least one, ascending")
         # With range cells another look may have the direction, at other ranges.
         rows = np.empty(0) if self.nus is None else self.nus[np.asarray(self.ranges_km) == 0.0]
@@ -231,11 +232,11 @@ class Scan(Message):
     def _ascends(self) -> bool:
         """Whether a bin has one row, or the directions of looks ascend. ValueError if columns of looks do not fit."""
         if self.nus is None:
-            return bool((self.bins[1:] > self.bins[:-1]).all())
+            return not is_any(self.bins[1:] <= self.bins[:-1])
         columns = (self.nus, self.limits, self.ranges_km, self.nu_hats, self.nu_sigmas)
         if {np.asarray(column).size for column in columns} != {self.bins.size}:
             raise ValueError("nus, limits, ranges_km, nu_hats and nu_sigmas must have one length with bins")
-        return bool((self.nus[1:] >= self.nus[:-1]).all())
+        return not is_any(self.nus[1:] < self.nus[:-1])
 
 
 class Truth(Message):
@@ -258,7 +259,7 @@ class Truth(Message):
         if self.states.shape != (self.bins.size, 4) or shapes != {self.bins.shape}:
             raise ValueError("states must be (M, 4) and bins, snr_db, heights_km (M,)")
         absent = self.bins == ABSENT
-        if (self.bins < ABSENT).any() or self.states[absent].any() or self.heights_km[absent].any():
+        if is_any(self.bins < ABSENT) or is_any(self.states[absent] != 0.0) or is_any(self.heights_km[absent] != 0.0):
             raise ValueError("bins must be from 0, or -1 of targets that are not there, whose states must be 0")
         return self
 
@@ -351,11 +352,11 @@ class Waveform(Message):
     def _aligned(self) -> Self:
         if self.beams.shape != self.shares.shape or self.beams.shape[:1] != self.late.shape:
             raise ValueError("beams and shares must have one shape, a row for each of late")
-        is_lit = (self.beams >= 0).any() if self.roster is None else True
-        if is_lit != self.tracking or self.beams.min(initial=-1) < -1:
+        is_lit = is_any(self.beams >= 0) if self.roster is None else True
+        if is_lit != self.tracking or is_any(self.beams < -1):
             raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
         _check_whole_parts(self)
-        if (self.shares < 0.0).any() or self.shares[self.beams < 0].any():
+        if is_any(self.shares < 0.0) or is_any(self.shares[self.beams < 0] != 0.0):
             raise ValueError("shares must be >= 0, and 0 where no cell is lit")
         _check_beams(self.beams, self.nus, self.gates, self.roster)
         return self
@@ -383,9 +384,9 @@ def _check_beams(beams: Beams, nus: FloatLists | None, gates: FloatLists | None,
     if nus is None or gates is None:
         check_different(beams)
         return
-    if nus.shape != beams.shape or np.abs(nus).max(initial=0.0) > 0.5 or gates.shape != (beams.shape[0], 2):
+    if nus.shape != beams.shape or is_any(np.abs(nus) > 0.5) or gates.shape != (beams.shape[0], 2):
         raise ValueError("directions must have a beam each, -0.5 .. 0.5, and gates (M, 2)")
-    if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any() or gates.max(initial=0.0) > FAR:
+    if is_any((gates < 0.0) | (gates > FAR)) or is_any(gates[:, 1] < gates[:, 0]):
         raise ValueError(f"gates must be 0 <= low <= high <= {FAR:g}")
 
 

@@ -285,6 +285,8 @@ def searches(orders: Iterable[Order], nus: NDArray[np.float64], margin: float = 
     direction of the array: a beam at one of them has a main lobe at the other.
     """
     sectors = [order.action for order in orders if isinstance(order.action, SectorSearch)]
+    if not sectors:
+        return np.ones(nus.shape, np.int64)
     times = _told(sectors, nus)
     edges = np.unique([-0.5, 0.5, *(edge for sector in sectors for edge in sector.nus)])
     is_blank = _told(sectors, 0.5 * (edges[:-1] + edges[1:])) == 0

@@ -1,5 +1,6 @@
 """The tracks of a dwell. Waveforms and scans carry it if the number of targets is unknown."""
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Annotated, Self
 
@@ -7,10 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cogradar.shared.protocol.fields import FAR, LARGEST, Count, FloatLists, Floats, Index, Ints
+from cogradar.shared.protocol.fields import FAR, LARGEST, Count, FloatLists, Floats, Index, Ints, is_any
 
-BIRTH = 8  # columns of `Roster.births`
-EXPECTED = 5  # ... and of `Roster.expected`
+_LEAST = 1.0 / LARGEST  # of what something is divided by
+# Columns of `Roster.births`, and the least and the largest that each may be.
+BIRTHS = {
+    "nu": (-0.5, 0.5),
+    "limit": (_LEAST, LARGEST),
+    "range": (0.0, FAR),
+    "nu_hat": (-0.5, 0.5),
+    "nu_sigma": (0.0, LARGEST),
+    "|alpha_hat|": (0.0, LARGEST),
+    "sigma_hat": (_LEAST, LARGEST),
+    "||v||^2": (_LEAST, LARGEST),
+}
+# ... and of `Roster.expected`.
+PLACES = {
+    "nu": (-0.5, 0.5),
+    "sigma of nu": (0.0, LARGEST),
+    "range": (0.0, FAR),
+    "sigma of range": (0.0, LARGEST),
+    "existence": (0.0, 1.0),
+}
+BIRTH, EXPECTED = len(BIRTHS), len(PLACES)
+_ENDS = {"births": np.array([*BIRTHS.values()]).T, "expected": np.array([*PLACES.values()]).T}
 
 
 class Compared(BaseModel):
@@ -58,17 +79,17 @@ class Roster(Compared):
         m = self.ids.size
         if (self.confirmed.size, self.born_k.size, self.expected.shape) != (m, m, (m, EXPECTED)):
             raise ValueError(f"confirmed and born_k must be as many as ids, expected (M, {EXPECTED})")
-        if (self.ids[1:] <= self.ids[:-1]).any() or (m and not 0 <= self.ids[0] <= self.ids[-1] < self.next_id):
+        if is_any(self.ids[1:] <= self.ids[:-1]) or (m and not 0 <= self.ids[0] <= self.ids[-1] < self.next_id):
             raise ValueError("ids must be ascending, from 0 and below next_id")
-        if not np.isin(self.confirmed, (0, 1)).all():
+        if is_any((self.confirmed < 0) | (self.confirmed > 1)):
             raise ValueError("confirmed must be 0 or 1")
-        if self.born_k.min(initial=0) < 0 or (self.born_k[1:] < self.born_k[:-1]).any():
+        if is_any(self.born_k[:1] < 0) or is_any(self.born_k[1:] < self.born_k[:-1]):
             raise ValueError("born_k must be from 0, and never less than the track before has")
         if self.births.shape[1] != BIRTH or self.births.shape[0] > m:
             raise ValueError(f"births must be (b, {BIRTH}), at most a row for each of ids")
-        _check_births(self.births)
-        _check_expected(self.expected)
-        if np.abs(self.searched).max(initial=0.0) > 0.5 or (self.searched[1:] <= self.searched[:-1]).any():
+        _check_columns("births", self.births, [*BIRTHS])
+        _check_columns("expected", self.expected, [*PLACES])
+        if is_any(np.abs(self.searched) > 0.5) or is_any(self.searched[1:] <= self.searched[:-1]):
             raise ValueError("searched must be -0.5 .. 0.5, ascending")
         return self
 
@@ -76,28 +97,12 @@ class Roster(Compared):
         return f"Roster{self._content()!r}"  # of which messages are compared
 
 
-def _check_births(births: NDArray[np.float64]) -> None:
-    """ValueError for detections that no receiver makes."""
-    nu, limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = births.T
-    if max(np.abs(nu).max(initial=0.0), np.abs(nu_hat).max(initial=0.0)) > 0.5:
-        raise ValueError("births: directions must be -0.5 .. 0.5")
-    measured = np.concatenate((limit, sigma_hat, power))
-    if (measured < 1.0 / LARGEST).any() or (measured > LARGEST).any():
-        raise ValueError(f"births: limit, sigma_hat and ||v||^2 must be {1.0 / LARGEST:g} .. {LARGEST:g}")
-    others = np.concatenate((nu_sigma, amplitude))
-    if (np.concatenate((range_km, others)) < 0.0).any() or range_km.max(initial=0.0) > FAR or (others > LARGEST).any():
-        raise ValueError(f"births: range must be 0 .. {FAR:g} km, nu_sigma and |alpha_hat| 0 .. {LARGEST:g}")
-
-
-def _check_expected(expected: NDArray[np.float64]) -> None:
-    """ValueError for Gaussians that are none, or of directions and ranges that there are not."""
-    nu, nu_sigma, range_km, range_sigma, existence = expected.T
-    if np.abs(nu).max(initial=0.0) > 0.5 or (np.concatenate((nu_sigma, range_km, range_sigma)) < 0.0).any():
-        raise ValueError("expected: directions must be -0.5 .. 0.5, ranges and standard deviations >= 0")
-    if range_km.max(initial=0.0) > FAR:
-        raise ValueError(f"expected: ranges must be at most {FAR:g} km")
-    if existence.min(initial=0.0) < 0.0 or existence.max(initial=0.0) > 1.0:
-        raise ValueError("expected: probabilities of existence must be 0 .. 1")
+def _check_columns(what: str, rows: NDArray[np.float64], columns: Sequence[str]) -> None:
+    """ValueError unless each number is between the ends of its column."""
+    lowest, highest = _ENDS[what]
+    if is_any(is_out := (rows < lowest) | (rows > highest)):
+        i = int(np.argwhere(is_out)[0, 1])
+        raise ValueError(f"{what}: {columns[i]} must be {lowest[i]:g} .. {highest[i]:g}")
 
 
 @cache

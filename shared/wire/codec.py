@@ -34,7 +34,6 @@ DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
 _HEADS = [struct.Struct(f"<2sB{n_axis}I") for n_axis in range(3)]  # before the elements: see ARRAY
 
-
 Parts = Mapping[type[Message], type[Message]]  # of kinds of messages, with some of their fields
 WHOLE: Parts = MappingProxyType({})
 Kind = TypeVar("Kind", bound=Message)
@@ -204,13 +203,13 @@ class _Budget:
 
 def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
     """What stands for an array, or for a part of a message."""
+    if isinstance(value, np.ndarray) and (name := NAMES.get(value.dtype)) is not None:
+        return msgpack.ExtType(ARRAY, _HEADS[value.ndim].pack(name, value.ndim, *value.shape) + value.tobytes())
     if isinstance(value, Compared):
-        return dict(value)
+        return vars(value)
     if isinstance(value, Rows):
-        value = value.array
-    if not isinstance(value, np.ndarray) or (name := NAMES.get(value.dtype)) is None:
-        raise TypeError(f"{type(value).__name__} cannot be sent")
-    return msgpack.ExtType(ARRAY, _HEADS[value.ndim].pack(name, value.ndim, *value.shape) + value.tobytes())
+        return _packed(value.array)
+    raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
 def _unpack_array(code: int, data: bytes) -> NDArray[Any]:
