@@ -72,7 +72,8 @@ def updated(
     alive = _one_each(radar, response, alive, scan.k, is_new)
     # In real time a track may have begun, or have flown elsewhere, after the waveform of this scan was sent.
     known = set(said.ids.tolist()) if told.age == 0 else set[int]()
-    untold = expected(radar, [plan for plan in alive if plan.target not in known], scan.k).tolist()
+    strangers = [plan for plan in alive if plan.target not in known]
+    untold = expected(radar, strangers, scan.k).tolist() if strangers else []
     found = unclaimed(response, told)
     found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found
     found = found[: radar.most_tracks - len(alive)] if begins else found[:0]

@@ -93,11 +93,13 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate, orders
             power = search_power(left, radar.search, requests)
             times = partial(searches, orders, margin=_margin(radar, orders))
             searched, next_search = search_directions(radar, radar.search, update.next_search, power, times)
-            of_search = np.full(searched.size, power / max(searched.size, 1))
-            searched, place = np.unique(np.append(searched, [look.nu for look in asked]), return_inverse=True)
-            powers = np.zeros(searched.size)
-            np.add.at(powers, place, np.append(of_search, of_looks))
-            power += float(of_looks.sum())
+            powers = np.full(searched.size, power / max(searched.size, 1))
+            if asked:
+                of_all = np.append(powers, of_looks)
+                searched, place = np.unique(np.append(searched, [look.nu for look in asked]), return_inverse=True)
+                powers = np.zeros(searched.size)
+                np.add.at(powers, place, of_all)
+                power += float(of_looks.sum())
         shown = 0.0 if is_paused(orders) else power
         roster = roster_of(radar, update, searched, shown, next_search)
     if requests is None:

@@ -39,7 +39,7 @@ def inner(a: ArrayLike, b: ArrayLike) -> float:
 
 def energy(z: NDArray[Any]) -> float:
     """Sum of |z|^2 over all elements."""
-    return float(np.sum(squared_modulus(z)))
+    return float(squared_modulus(z).sum())
 
 
 def polynomial(roots: ArrayLike) -> Complexes:

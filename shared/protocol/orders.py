@@ -311,6 +311,8 @@ def looks(orders: Iterable[Order]) -> list[Look]:
     """The looks among orders in force, none of them into a blanked sector."""
     orders = list(orders)
     asked = [order.action for order in orders if isinstance(order.action, Look)]
+    if not asked:
+        return []
     times = searches(orders, np.array([look.nu for look in asked]))
     return [look for look, n in zip(asked, times.tolist(), strict=True) if n]
 

@@ -5,6 +5,7 @@ half-wavelength uniform linear array; x boresight, y along the array.
 """
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,7 @@ _LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is
 _BEYOND = 3.0  # standard deviations beyond an end at which a direction may be measured
 _NEAR_KM = 1e-3  # keeps a direction finite
 _ROUNDING = 1e-9  # of directions that are compared
+_FEW = 1000  # pairs of directions that are compared as fast as they are sorted
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
 
@@ -28,6 +30,11 @@ def bin_centres(n_bin: int) -> NDArray[np.float64]:
     Their spacing is 1/(n_bin - 1): neighbouring steering vectors are nearly, not exactly, orthogonal, and bins 0 and
     n_bin - 1 are one direction (grating).
     """
+    return _bin_centres(n_bin).copy()
+
+
+@cache
+def _bin_centres(n_bin: int) -> NDArray[np.float64]:
     return np.linspace(-0.5, 0.5, n_bin)
 
 
@@ -44,7 +51,7 @@ def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
     """
     s = np.asarray(states, dtype=np.float64)
     r = hypot(s[..., 0], s[..., 2])
-    return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros_like(r), where=r != 0.0))
+    return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros(r.shape), where=r != 0.0))
 
 
 def in_plane(states: ArrayLike, heights_km: ArrayLike) -> NDArray[np.float64]:
@@ -104,8 +111,11 @@ def near_pairs(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Which directions, (n,), are nearer than `reach` to which others, (m,): pairs (i, j), in this order; (p,) each.
 
-    Cost O((n + m) log m + p): what is far is not compared.
+    Cost O((n + m) log m + p): what is far is not compared, but if there are few.
     """
+    if nus.size * others.size <= _FEW:
+        i, j = np.nonzero(apart(nus[:, np.newaxis], others) < reach)
+        return i, j
     order, wide = np.argsort(others), reach + _ROUNDING
     turns = np.array([[-1.0], [0.0], [1.0]]) if wide < 0.5 else np.zeros((1, 1))
     around_nus, half = nus + turns, wide if wide < 0.5 else np.inf
