@@ -6,14 +6,15 @@ Bytes are an object with their Base64.
 
 import hashlib
 import marshal
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, Field, PlainValidator, WithJsonSchema
 
 from cogradar.shared.scenario import limits
-from cogradar.shared.scenario.files import parse_world
+from cogradar.shared.scenario.files import parse_radar, parse_world
 from cogradar.shared.scenario.plugins.names import MAX_NAME, PATTERN
 
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
@@ -274,22 +275,28 @@ Epoch = Annotated[int, Field(ge=0, le=MAX_EPOCH)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-def _complete_world(document: dict[str, Any]) -> dict[str, Any]:
-    """A world, checked once: every checkpoint of a run says it, and to check hundreds of targets takes 10 ms."""
-    try:
-        key = hashlib.blake2b(marshal.dumps(document, _WITHOUT_REFERENCES)).digest()
-    except ValueError:  # trajectories that were never encoded
-        return parse_world(document, "world").model_dump()
-    if (known := _WORLDS.get(key)) is not None:
-        return known
-    complete = parse_world(document, "world").model_dump()
-    while len(_WORLDS) >= KEPT_WORLDS:
-        del _WORLDS[next(iter(_WORLDS))]
-    _WORLDS[key] = complete
-    return complete
+class _Complete:
+    """Completes documents of a kind, each once: every checkpoint says them, and hundreds of targets take 10 ms."""
+
+    def __init__(self, parse: Callable[[dict[str, Any], str], BaseModel], name: str) -> None:
+        self._parse, self._name = parse, name
+        self._known: dict[bytes, dict[str, Any]] = {}
+
+    def __call__(self, document: dict[str, Any]) -> dict[str, Any]:
+        try:
+            key = hashlib.blake2b(marshal.dumps(document, _WITHOUT_REFERENCES)).digest()
+        except ValueError:  # trajectories that were never encoded
+            return self._parse(document, self._name).model_dump()
+        if (known := self._known.get(key)) is not None:
+            return known
+        complete = self._parse(document, self._name).model_dump()
+        while len(self._known) >= KEPT:
+            del self._known[next(iter(self._known))]
+        self._known[key] = complete
+        return complete
 
 
-KEPT_WORLDS = 4  # of the runs that go on in a process, complete
+KEPT = 4  # of a kind, of the runs that go on in a process
 _WITHOUT_REFERENCES = 2  # version in which equal documents are equal bytes
-_WORLDS: dict[bytes, dict[str, Any]] = {}
-World = Annotated[dict[str, Any], AfterValidator(_complete_world)]
+World = Annotated[dict[str, Any], AfterValidator(_Complete(parse_world, "world"))]
+Radar = Annotated[dict[str, Any], AfterValidator(_Complete(parse_radar, "radar"))]

@@ -34,6 +34,7 @@ from cogradar.shared.protocol.fields import (
     Lacking,
     Measured,
     OwnName,
+    Radar,
     Rate,
     RunId,
     Seed,
@@ -49,7 +50,7 @@ from cogradar.shared.protocol.fields import (
 )
 from cogradar.shared.protocol.orders import Action, Orders, Settings
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
-from cogradar.shared.scenario.files import parse, parse_radar
+from cogradar.shared.scenario.files import parse
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
@@ -132,7 +133,7 @@ class Checkpoint(_Settings):
     It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
 
-    radar: dict[str, Any]  # complete: [radar] of a scenario
+    radar: Radar  # complete: [radar] of a scenario
     seed: Seed  # of the radar's own random numbers
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
@@ -143,11 +144,6 @@ class Checkpoint(_Settings):
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
     orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
     epoch: Epoch = 0  # of the recorder that says it; dropped after a higher one of this run
-
-    @field_validator("radar")
-    @classmethod
-    def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
-        return parse_radar(document, "radar").model_dump()
 
 
 class EmulatorCheckpoint(Checkpoint):
