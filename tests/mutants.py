@@ -296,8 +296,8 @@ MUTANTS = (
     Mutant(
         "of two claims to a shard both stay",
         SHARES,
-        "if earlier and (shard not in self.held",
-        "if False and (shard not in self.held",
+        "for shard, since_s in earlier.items():",
+        "for shard, since_s in {}.items():",
         only=with_pools,
     ),
     Mutant(
@@ -331,7 +331,7 @@ MUTANTS = (
     Mutant(
         "a shard is served as soon as it is claimed",
         SHARES,
-        "(UNTAKEN_S if self._rivals(shard) else SETTLE_S)",
+        "(UNTAKEN_S if shard in rivalled else SETTLE_S)",
         "0.0",
         only=with_pools,
     ),

@@ -128,22 +128,24 @@ class Shares:
             return False
         return now_s >= max(self._claims[claim].absent_s, member.back_s) + SETTLE_S
 
-    def _rivals(self, shard: int) -> dict[str, _Seen]:
-        return {moment: seen for (one, moment), seen in self._claims.items() if one == shard}
-
     def _yield(self, now_s: float) -> None:
         """Leave shards to earlier claims; those that it serves to one that stays."""
-        for shard in list(self._shown):
-            rivals = self._rivals(shard).items()
-            earlier = [seen.since_s for moment, seen in rivals if moment < self.moment and seen.absent_s == math.inf]
-            if earlier and (shard not in self.held or now_s >= min(earlier) + YIELD_S):
+        earlier = dict[int, float]()
+        for (shard, moment), seen in self._claims.items():
+            if shard in self._shown and moment < self.moment and seen.absent_s == math.inf:
+                earlier[shard] = min(seen.since_s, earlier.get(shard, math.inf))
+        for shard, since_s in earlier.items():
+            if shard not in self.held or now_s >= since_s + YIELD_S:
                 del self._shown[shard]
 
     def _serve(self, now_s: float) -> None:
         """Serve what it has claimed for long enough, once later claims are gone, or for longer if they stay."""
-        for shard, since_s in self._shown.items():
-            if now_s >= since_s + (UNTAKEN_S if self._rivals(shard) else SETTLE_S):
-                self.held |= {shard}
+        rivalled = {shard for shard, _ in self._claims}
+        self.held |= {
+            shard
+            for shard, since_s in self._shown.items()
+            if now_s >= since_s + (UNTAKEN_S if shard in rivalled else SETTLE_S)
+        }
 
     def _parts(self) -> dict[str, int]:
         """How many shards each process should have: the earliest may have one more."""
