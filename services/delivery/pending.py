@@ -22,30 +22,30 @@ class Pending:
     """A bounded buffer; the oldest go first when it is full."""
 
     def __init__(self) -> None:
-        self._messages: deque[Message] = deque()
+        self._messages: deque[tuple[Message, int]] = deque()  # each with its size
         self._n_byte = 0
 
     def add(self, message: Message) -> None:
         """Keep a message of a run that is not known yet."""
-        self._messages.append(message)
-        self._n_byte += _size(message)
+        self._messages.append((message, n_byte := _size(message)))
+        self._n_byte += n_byte
         while len(self._messages) > MAX_PENDING or self._n_byte > MAX_BYTES:
-            self._n_byte -= _size(self._messages.popleft())
+            self._n_byte -= self._messages.popleft()[1]
 
     def forget(self, run: str) -> None:
         """Drop what is kept of a run."""
-        self._messages = deque(message for message in self._messages if message.run != run)
-        self._n_byte = sum(map(_size, self._messages))
+        self._messages = deque(kept for kept in self._messages if kept[0].run != run)
+        self._n_byte = sum(n_byte for _, n_byte in self._messages)
 
     def validate(self) -> None:
         """What is kept is bounded, and counted right. Raises BrokenInvariant."""
-        n, n_byte = len(self._messages), sum(map(_size, self._messages))
+        n, n_byte = len(self._messages), sum(n_byte for _, n_byte in self._messages)
         require(n <= MAX_PENDING and n_byte <= MAX_BYTES, f"{n} messages of {n_byte} bytes are pending")
         require(n_byte == self._n_byte, f"{n_byte} bytes are pending, {self._n_byte} are counted")
 
     def replay(self, run: str, handle: Callable[[Message], Iterable[Message | Flush]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
-        mine = [message for message in self._messages if message.run == run]
+        mine = [message for message, _ in self._messages if message.run == run]
         self.forget(run)
         answers: list[Message] = []
         for message in mine:

@@ -11,9 +11,11 @@ import numpy as np
 from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
 from cogradar.services.emulator.kept_open import ATTEMPTS
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.simulation.schedule import LONG_DWELLS, RUN_SEEDS
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 Watch = Callable[[str, int, int, Transmission], None]  # run, k, t, what is radiated
+_CLOCKS = 2 * (RUN_SEEDS + 1) * LONG_DWELLS  # of all worlds: two skies, and the second run has the next seed
 
 
 class ReceiverFaults:
@@ -84,7 +86,7 @@ def _named(checkpoint: EmulatorCheckpoint) -> bytes:
     return name
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=_CLOCKS)
 def _opened(world: bytes, t: int) -> SimulatedFrontEnd:
     """A world at clock t. It can be used for any dwell of this clock: a scan does not depend on those before."""
     return SimulatedFrontEnd.open(_WORLDS[world].model_copy(update={"t": t}))

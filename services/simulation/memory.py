@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,7 +21,7 @@ from cogradar.services.allocator.track_update import updated
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.emulator.cycle import scan_message, transmission
 from cogradar.services.planner.decision import decide
-from cogradar.services.planner.owned_track import born_of
+from cogradar.services.planner.owned_track import born_of, detections_of
 from cogradar.services.simulation.front_end import simulated
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.tracking.track import observe, start
@@ -33,6 +34,7 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     born_of,
     decode,
     decide,
+    detections_of,
     encode,
     observe,
     parse,
@@ -57,6 +59,7 @@ class Impure(AssertionError):
 _PLAIN = frozenset({bool, float, int, str, type(None)})  # most of what is within arguments
 _FIELDS = "_fields"  # what only named tuples have
 _MISSING = object()
+_NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Memory:
@@ -69,24 +72,24 @@ class Memory:
         self._encoded: dict[int, tuple[object, Any]] = {}  # likewise
         self._n_known = 0  # results that were asked for and known
 
-    def result(self, function: Callable[..., T], args: tuple[Any, ...]) -> T:
+    def result(self, function: Callable[..., T], args: tuple[Any, ...], named: Mapping[str, Any] = _NONE) -> T:
         """The result of a function of these arguments, computed once as a rule. Raises Impure."""
-        key = self._key(function, args)
+        key = self._key(function, (*args, *named.items()))
         known = self._results.get(key, _MISSING)
         if known is not _MISSING:
             found: T = known
             self._n_known += 1
             if self._n_known % AGAIN == 0:
-                self._compare(function, found, function(*args))
+                self._compare(function, found, function(*args, **named))
             return found
         if len(self._results) >= self._most:
             self._results.clear()
-        made = function(*args)
+        made = function(*args, **named)
         _freeze(made)
         self._results[key] = made
         return made
 
-    def encoded(self, function: Callable[..., T], args: tuple[Any, ...]) -> T:
+    def encoded(self, function: Callable[..., T], args: tuple[Any, ...], _named: Mapping[str, Any] = _NONE) -> T:
         """The result of a function, computed at most once for this object."""
         (value,) = args
         if (known := self._encoded.get(id(value))) is not None:
@@ -199,7 +202,7 @@ def _cached(memory: Memory, function: Callable[..., T]) -> Callable[..., T]:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> T:
-        return function(*args, **kwargs) if kwargs else result(function, args)
+        return result(function, args, kwargs)
 
     return call
 
@@ -214,17 +217,13 @@ def _replace(pairs: Sequence[tuple[Callable[..., Any], Callable[..., Any]]]) -> 
 
 
 def _freeze(value: Any) -> None:
-    match value:
-        case np.ndarray():
-            value.flags.writeable = False
-        case tuple() | list():
-            for one in value:
-                _freeze(one)
-        case BaseModel():
-            for name in type(value).model_fields:
-                _freeze(getattr(value, name))
-        case _ if dataclasses.is_dataclass(value):
-            for field in dataclasses.fields(value):
-                _freeze(getattr(value, field.name))
-        case _:
-            pass
+    if type(value) in _PLAIN:
+        return
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, tuple | list):
+        for one in value:
+            _freeze(one)
+    elif isinstance(value, BaseModel) or dataclasses.is_dataclass(value):
+        for name in _names(value):
+            _freeze(getattr(value, name))

@@ -72,6 +72,18 @@ def test_equal_arguments_are_computed_once(sky: str) -> None:
     assert len(computed) == 1
 
 
+def test_named_arguments_count_as_the_others() -> None:
+    computed, memory = list[str](), Memory(10)
+
+    def said(what: str, *, loud: bool) -> str:
+        computed.append(what)
+        return what.upper() if loud else what
+
+    found = [memory.result(said, ("on",), {"loud": loud}) for loud in (True, False, True, False)]
+    assert found == ["ON", "on", "ON", "on"]
+    assert computed == ["on", "on"]
+
+
 def test_what_cannot_be_told_by_its_value_is_no_argument() -> None:
     class Opaque:
         def __init__(self) -> None:
