@@ -2,7 +2,7 @@
 
 import { Latest, ask, runPath } from "./api.js";
 import { color, onTheme } from "./palette.js";
-import { CONFIG, axis, layout, library } from "./plot.js";
+import { CONFIG, axis, layout, library, parted } from "./plot.js";
 import { byId, put } from "./text.js";
 import { show } from "./view.js";
 
@@ -73,7 +73,7 @@ export class Compare {
       more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "tozero" });
     });
     const traces = panels.flatMap(([title, of], i) => answers.map((one, which) => ({
-      x: one.first.map((first, j) => (first + one.last[j]) / 2), y: of(one), yaxis: `y${i ? i + 1 : ""}`, mode: "lines",
+      ...parted(one.first.map((first, j) => (first + one.last[j]) / 2), of(one), (j) => one.first[j] > one.last[j - 1] + 1), yaxis: `y${i ? i + 1 : ""}`, mode: "lines",
       line: { color: color(which ? "warn" : "accent"), width: which ? 1.5 : 2, dash: which ? "dash" : "solid" },
       hovertemplate: `${title} %{y:.3~g} at dwell %{x:.0f}<extra>${one.run}</extra>`,
     })));

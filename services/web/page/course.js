@@ -3,7 +3,7 @@
 import { Latest, ask, runPath } from "./api.js";
 import { STATE_TEXT } from "./dwells.js";
 import { color, glyph } from "./palette.js";
-import { CONFIG, axis, decades, layout, library, lines, tested } from "./plot.js";
+import { CONFIG, axis, decades, layout, library, lines, measured, tested } from "./plot.js";
 import { byId, fixed, make, percent, put, short } from "./text.js";
 
 const EVERY_MS = 1200;
@@ -163,16 +163,16 @@ const PANELS = [
   {
     title: "P<sub>D</sub>", column: "p_d", scale: () => PROBABILITY,
     traces: (data, line, row) => [
-      line(data.p_d_low, row, { line: { width: 0 }, hoverinfo: "skip" }),
-      line(data.p_d_high, row, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
-      line(data.p_d, row),
+      line(measured(data, data.p_d_low, data.p_d), row, { middle: data.p_d, line: { width: 0 }, hoverinfo: "skip" }),
+      line(measured(data, data.p_d_high, data.p_d), row, { middle: data.p_d, line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
+      line(measured(data, data.p_d), row),
     ],
   },
   {
     title: "Error km", column: "error_km", scale: (data) => decades([...data.error_km, ...(data.floor_km ?? [])]),
     traces: (data, line, row) => [
-      line(data.error_km, row),
-      line(data.floor_km ?? [], row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
+      line(measured(data, data.error_km), row),
+      line(measured(data, data.floor_km ?? []), row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
     ],
   },
 ];

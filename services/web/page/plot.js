@@ -49,11 +49,32 @@ export const axis = (more) => ({
   ...more,
 });
 
-// A line of a course over dwells, `row` from 1, in the colour of its target or track.
-export const lines = (data) => (y, row, more = {}) => ({
-  x: data.t, y, yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
-  hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
-});
+// Values over dwells with a break where `isBroken(i)` says that one does not follow the one before: a line does not go
+// across, and an area whose edges meet in `middle` there has no height.
+export function parted(x, y, isBroken, middle = null) {
+  const found = { x: [], y: [] };
+  const add = (at, value) => (found.x.push(at), found.y.push(value));
+  y.forEach((value, i) => {
+    if (i && isBroken(i)) for (const j of middle ? [i - 1, i] : [i]) add(x[j], middle ? middle[j] : null);
+    add(x[i], value);
+  });
+  return found;
+}
+
+// A line of a course over dwells, `row` from 1, in the colour of its target or track. It breaks where dwells are missing,
+// and where measuring ended or began again, as in a pause of the transmission.
+export function lines(data) {
+  const isBroken = (i) => data.t[i] - data.t[i - 1] > data.every || isMeasured(data, i) !== isMeasured(data, i - 1);
+  return (y, row, { middle, ...more } = {}) => ({
+    ...parted(data.t, y, isBroken, middle), yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
+    hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
+  });
+}
+
+const isMeasured = (data, i) => data.detected[i] !== null;
+
+// Scores of the dwells that were measured: the others are none of theirs; `instead` stands for them.
+export const measured = (data, y, instead = null) => y.map((value, i) => (isMeasured(data, i) ? value : instead && instead[i]));
 
 // The statistic against its threshold, with a cross where it was not detected.
 export function tested(data, row) {
@@ -62,7 +83,7 @@ export function tested(data, row) {
   return [
     line(data.statistic, row, { line: { color: colorOf(data.target), width: 1 } }),
     line(data.statistic.map((value, i) => (data.detected[i] === false ? value ?? data.threshold[i] : null)), row, { mode: "markers", marker: { color: alarm, size: 6, symbol: "x-thin", line: { width: 2, color: alarm } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
-    line(data.threshold, row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
+    line(measured(data, data.threshold), row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
   ];
 }
 

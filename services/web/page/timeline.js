@@ -110,6 +110,10 @@ export class Timeline {
     const x = (t) => THUMB + (end > oldest ? ((Math.max(t, oldest) - oldest) / (end - oldest)) * inner : 0);
     context.fillStyle = color("band");
     context.fillRect(THUMB, 0, Math.max(0, x(player.newest) - THUMB), height);
+    this.buckets.forEach(({ first }, i) => {
+      const ended = x((this.buckets[i - 1]?.last ?? oldest - 1) + 0.5);
+      if (this.isBroken(i)) context.clearRect(ended, 0, x(first - 0.5) - ended, height);
+    });
     const bar = ({ first, last }, share, ink, top) => {
       const left = Math.max(THUMB, x(first - 0.5));
       context.fillStyle = color(ink);
@@ -124,11 +128,20 @@ export class Timeline {
     this.errors(context, x, height);
   }
 
+  // Whether dwells are missing before a bucket.
+  isBroken(i) {
+    return this.buckets[i].first > (this.buckets[i - 1]?.last ?? this.oldest - 1) + 1;
+  }
+
   errors(context, x, height) {
     const known = this.buckets.filter((one) => one.error_km !== null);
     const most = Math.max(...known.map((one) => one.error_km), 1e-9);
     context.beginPath();
-    for (const { first, last, error_km: error } of known) context.lineTo(x((first + last) / 2), height - 2 - (error / most) * (height - 5));
+    this.buckets.forEach(({ first, last, error_km: error }, i) => {
+      if (error === null) return;
+      const follows = i && !this.isBroken(i) && this.buckets[i - 1].error_km !== null;
+      context[follows ? "lineTo" : "moveTo"](x((first + last) / 2), height - 2 - (error / most) * (height - 5));
+    });
     context.lineWidth = 1.25;
     context.strokeStyle = color("ink");
     context.stroke();
