@@ -11,6 +11,7 @@ const MANY_EVERY_MS = 1200;
 const NAMED = 12; // targets with their numbers at them
 const ABOVE_DB = 2.5; // their numbers
 const DEEP_DB = 45; // below the highest power nothing is of interest
+const MARGIN = { l: 56, r: 18, t: 12, b: 24 };
 
 export class Pattern {
   constructor() {
@@ -68,7 +69,7 @@ export class Pattern {
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
       {
-        x: data.angle_deg, y: data.power_db, mode: "lines", line: { color: color("ink"), width: 1.25 },
+        ...highest(data, node.clientWidth - MARGIN.l - MARGIN.r), mode: "lines", line: { color: color("ink"), width: 1.25 },
         fill: "tonexty", fillcolor: "rgba(128,150,170,0.18)", hovertemplate: "%{y:.1f} dB at %{x:.1f}°<extra></extra>",
       },
       {
@@ -93,7 +94,7 @@ export class Pattern {
       },
     ];
     const shape = layout(node, {
-      margin: { l: 56, r: 18, t: 12, b: 24 },
+      margin: MARGIN,
       xaxis: axis({ range: [-90, 90], dtick: 30, ticksuffix: "°" }),
       yaxis: axis({ range: [top - DEEP_DB, top + 10], ticksuffix: " dB", dtick: 15 }),
     });
@@ -102,4 +103,17 @@ export class Pattern {
     const strongest = targets.map((one) => `${kind} ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
     node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
   }
+}
+
+// The highest power in each column of pixels. Many beams have nulls narrower than that: drawn sample by sample, some are
+// seen and some not, and lobes seem to be where none are.
+function highest({ angle_deg: angles, power_db: powers }, width) {
+  const found = { x: [], y: [] };
+  const columnOf = (angle) => Math.floor(((angle + 90) / 180) * width);
+  angles.forEach((angle, i) => {
+    const last = found.x.length - 1;
+    const isNew = last < 0 || columnOf(angle) !== columnOf(found.x[last]);
+    if (isNew || powers[i] > found.y[last]) [found.x[last + isNew], found.y[last + isNew]] = [angle, powers[i]];
+  });
+  return found;
 }

@@ -48,6 +48,28 @@ def test_the_browsers_back_button_undoes_a_choice_of_view(stored: str, show: Ope
     expect(page.locator("#dwell")).to_have_text("20")
 
 
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_beampattern_of_many_beams_has_the_highest_power_of_each_column_of_pixels(
+    stored: str, show: Open, width: int
+) -> None:
+    page = show(f"{stored}/?run=hundred&dwell=12", width)
+    with page.expect_response(re.compile("beampattern")) as answer:
+        page.reload()
+    until(page, "document.getElementById('pattern').data?.length > 4")
+    told = answer.value.json()
+    angles, powers, length = page.evaluate(
+        "(({ data: [, one], _fullLayout }) => [one.x, one.y, _fullLayout.xaxis._length])"
+        "(document.getElementById('pattern'))"
+    )
+    highest = dict[int, float]()
+    for angle, power in zip(told["angle_deg"], told["power_db"], strict=True):
+        column = int((angle + 90) / 180 * length)
+        highest[column] = max(power, highest.get(column, power))
+    assert [int((angle + 90) / 180 * length) for angle in angles] == list(highest)
+    assert powers == list(highest.values())
+    assert len(angles) < len(told["angle_deg"]) / 2
+
+
 def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open) -> None:
     page = show(f"{stored}/?run=wandering")
     expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))  # where it ended
