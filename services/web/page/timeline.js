@@ -88,7 +88,7 @@ export class Timeline {
 
   turned() {
     const { player } = this;
-    put(this.button, player.mode === "playing" ? "Pause" : player.mode === "live" && player.isRunning ? "Pause" : "Play");
+    put(this.button, player.mode === "playing" || (player.mode === "live" && player.isRunning) ? "Freeze" : "Play");
     this.button.disabled = player.newest < 1;
     this.liveButton.hidden = !player.isRunning;
     this.liveButton.classList.toggle("on", player.mode === "live");

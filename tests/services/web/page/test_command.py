@@ -164,7 +164,9 @@ def test_the_chosen_track_comes_first_and_is_dropped(commander: Page) -> None:
 
 def test_what_stops_the_radar_comes_first(commander: Page) -> None:
     names = commander.locator("#command-acts button").all_inner_texts()
-    assert names[:3] == ["Pause transmission", "Resume", "End the run …"]
+    assert names[:3] == ["Pause transmission", "Resume transmission", "End the run …"]
+    expect(commander.get_by_role("button", name="Freeze")).to_be_visible()  # what stops the picture is called otherwise
+    expect(commander.get_by_role("button", name=re.compile("pause", re.IGNORECASE))).to_have_count(1)
 
 
 def test_a_second_enter_sends_nothing(commander: Page, watched: Watched) -> None:

@@ -84,7 +84,7 @@ def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open)
     page.get_by_label("Speed").select_option("2")
     page.get_by_role("button", name="Play").click()
     wait_for_dwell(page, 152)
-    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Freeze").click()
     paused = dwell_of(page)
     assert 152 <= paused < WANDERING_DWELLS
     page.wait_for_timeout(400)
