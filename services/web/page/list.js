@@ -4,14 +4,14 @@ import { STATE_TEXT } from "./dwells.js";
 import { save } from "./files.js";
 import { degrees, headingOf, placeOf, speedOf } from "./motion.js";
 import { glyph } from "./palette.js";
-import { byId, fixed, make, percent, put, short } from "./text.js";
+import { byId, fixed, make, noMatch, percent, put, short } from "./text.js";
 import { show, view } from "./view.js";
 
 // `head` and `unit` of a column, its name in CSV files and filters, and how its numbers are shown; `of` gives its value.
 const COLUMNS = [
   { name: "track", head: "Track", of: ({ one }) => one.target, text: String },
   { name: "state", head: "State", of: ({ state }) => STATE_TEXT[state], text: String },
-  { name: "age_s", head: "Age", unit: "s", of: ({ one, dwell, radar }) => (one.x_hat === null ? null : (dwell.t - (one.born_t ?? 0)) * radar.dt_s), text: short },
+  { name: "age_s", head: "Age", unit: "s radar time", of: ({ one, dwell, radar }) => (one.x_hat === null ? null : (dwell.t - (one.born_t ?? 0)) * radar.dt_s), text: short },
   { name: "range_km", head: "Range", unit: "km", of: ({ one }) => placeOf(one)?.range ?? null, text: (value) => fixed(value, 2) },
   { name: "bearing_deg", head: "Bearing", unit: "°", of: ({ one, radar }) => degrees(placeOf(one)?.angle, radar), text: fixed },
   { name: "speed_m_s", head: "Speed", unit: "m/s", of: ({ one }) => speedOf(one), text: (value) => fixed(value, 0) },
@@ -19,7 +19,7 @@ const COLUMNS = [
   { name: "existence", head: "Exists", unit: "%", of: ({ one }) => one.existence ?? null, text: percent, needs: (radar) => radar.is_unknown },
   { name: "power", head: "Power", unit: "%", of: ({ one }) => one.share, text: percent },
   { name: "statistic", head: "Statistic", unit: "of threshold", of: ({ one, dwell }) => (one.statistic === null ? null : one.statistic / (one.threshold ?? dwell.threshold)), text: short },
-  { name: "seen_s", head: "Last seen", unit: "s ago", of: seen, text: short },
+  { name: "seen_s", head: "Last seen", unit: "s radar time ago", of: seen, text: short },
   { name: "error_km", head: "Error", unit: "km", of: ({ one }) => one.error_km, text: short, needs: (radar) => radar.has_truth },
   { name: "latitude_deg", head: "Latitude", unit: "°", of: ({ one }) => one.latitude_hat_deg, text: (value) => fixed(value, 4), needs: (radar) => radar.site !== null },
   { name: "longitude_deg", head: "Longitude", unit: "°", of: ({ one }) => one.longitude_hat_deg, text: (value) => fixed(value, 4), needs: (radar) => radar.site !== null },
@@ -56,6 +56,7 @@ export class TrackList {
     this.picture = null;
     this.body.replaceChildren();
     put(byId("list-caption"), "");
+    noMatch(byId("list-none"), false);
     if (!radar) return;
     this.columns = COLUMNS.filter(({ needs }) => !needs || needs(radar));
     const from = radar.site ? "from north" : "from boresight";
@@ -98,6 +99,7 @@ export class TrackList {
     while (this.body.rows.length > this.shown.length) this.body.deleteRow(-1);
     this.shown.forEach((row, i) => this.fill(this.body.rows[i] ?? this.body.insertRow(), row, target));
     byId("track-csv").disabled = !this.shown.length;
+    noMatch(byId("list-none"), rows.length && !this.shown.length, kind.slice(0, -1), byId("track-filter"));
   }
 
   // What is not known comes last either way.

@@ -36,7 +36,7 @@ export class AirPicture {
   waits() {
     const { found } = this;
     if (!found) return "";
-    const times = `${short(found.confirmation_median_s)} s, 95 % ${short(found.confirmation_95_s)} s`;
+    const times = `${short(found.confirmation_median_s)} s of radar time, 95 % ${short(found.confirmation_95_s)} s`;
     return ` · confirmed after ${times}, ${found.never_found} of ${found.long_visible} never found`;
   }
 

@@ -74,6 +74,7 @@ export class Radar {
     says.noEvents(radar?.is_unknown);
     put(byId("dwell"), "–");
     put(byId("dwell-of"), "");
+    put(byId("clock"), "");
     this.redraw();
   }
 
@@ -110,6 +111,7 @@ export class Radar {
     says.empty(null);
     put(byId("dwell"), String(dwell.t));
     put(byId("dwell-of"), radar.dwells === null ? "" : ` of ${Math.max(radar.dwells, dwell.t)}`);
+    put(byId("clock"), times(dwell, radar));
     this.tell(picture);
     this.detail(picture);
     this.drawn = dwell;
@@ -185,6 +187,12 @@ export class Radar {
       : `Scope at dwell ${dwell.t}: ${now.size} targets, ${lost.length ? `lost: ${lost.join(", ")}` : "none lost"}. The table of targets says the same in numbers.`;
     if (this.isCalm) byId("scope").setAttribute("aria-label", text);
   }
+}
+
+// When a dwell was: by the clock of the radar, and if it is known in UTC.
+function times({ t, utc_s: utc }, { dt_s: dt }) {
+  const seconds = `${Number((t * dt).toFixed(3))} s radar time`;
+  return utc === null ? seconds : `${seconds}\n${new Date(1000 * utc).toISOString().replace("T", " ").slice(0, dt < 1 ? 21 : 19)} UTC`;
 }
 
 // Targets that were lost or found.

@@ -1,7 +1,7 @@
 // The runs that there are: a table to choose from, and which of them is the newest.
 
 import { Latest, ask } from "./api.js";
-import { byId, make, put } from "./text.js";
+import { byId, make, noMatch, put } from "./text.js";
 import { link, show, view } from "./view.js";
 
 const MOST = 300; // rows of the table
@@ -59,13 +59,9 @@ export class Runs {
     this.body.replaceChildren(...found.slice(0, MOST).map(rowOf));
     if (focused) this.body.querySelector(`tr[data-run="${CSS.escape(focused)}"] ${on}`)?.focus();
     const left = found.length - MOST;
-    put(byId("runs-more"), left > 0 ? `${left} more: narrow them down with Find.` : empty(found.length, this.rows.length, problem));
+    put(byId("runs-more"), left > 0 ? `${left} more: narrow them down with Find.` : this.rows.length || problem ? "" : "No run yet. In a terminal: cogradar run paper --keep");
+    noMatch(byId("runs-none"), this.rows.length && !found.length, "run", byId("find"));
   }
-}
-
-function empty(found, all, problem) {
-  if (found || problem) return "";
-  return all ? "No run has these words." : "No run yet. In a terminal: cogradar run paper --keep";
 }
 
 function rowOf(row) {

@@ -29,3 +29,19 @@ export function make(tag, className, text) {
 }
 
 export const byId = (id) => document.getElementById(id);
+
+// Where a filter leaves nothing: says so, with a button that clears it.
+export function noMatch(node, isSaid, kind, filter) {
+  const text = isSaid ? `No ${kind} matches “${filter.value.trim()}”.` : "";
+  if ((node.firstChild?.textContent ?? "") === text) return;
+  node.replaceChildren();
+  if (!text) return;
+  const button = make("button", "", "Clear the filter");
+  button.type = "button";
+  button.addEventListener("click", () => {
+    filter.value = "";
+    filter.dispatchEvent(new Event("input"));
+    filter.focus();
+  });
+  node.append(make("span", "", text), button);
+}

@@ -42,6 +42,11 @@ def test_tracks_are_sorted_and_filtered(stored: str, show: Open) -> None:
     page.get_by_role("searchbox", name="Filter").fill("no such state")
     expect(rows).to_have_count(0)
     expect(page.get_by_role("button", name="CSV")).to_be_disabled()
+    expect(page.locator("#list-none")).to_contain_text("No target matches “no such state”.")
+    page.get_by_role("button", name="Clear the filter").click()
+    expect(rows).to_have_count(100)
+    expect(page.locator("#list-none")).to_be_empty()
+    expect(page.get_by_role("searchbox", name="Filter")).to_be_focused()
 
 
 def test_what_is_shown_is_saved_with_full_numbers(unknown: str, show: Open, tmp_path: Path) -> None:
@@ -56,6 +61,8 @@ def test_what_is_shown_is_saved_with_full_numbers(unknown: str, show: Open, tmp_
     with (tmp_path / "tracks.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert row["track"] == "3"
+    expect(page.locator("#track-list th", has_text="Age")).to_contain_text("s radar time")
+    expect(page.locator("#track-list th", has_text="Last seen")).to_contain_text("s radar time ago")
     assert row["existence"] == "0.9"
     assert {"age_s", "range_km", "bearing_deg", "speed_m_s", "heading_deg", "seen_s", "error_km"} <= row.keys()
     assert "latitude_deg" not in row  # there is no [site]

@@ -114,6 +114,15 @@ def test_loss_and_re_acquisition_cannot_be_missed(stored: str, show: Open) -> No
     assert inked(page, alarm) > 0.0005
 
 
+def test_the_time_of_a_dwell_is_the_radars_and_utc_where_it_is_known(stored: str, unknown: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=75")
+    expect(page.locator("#clock")).to_have_text("75 s radar time")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#clock")).to_have_text("76 s radar time")
+    sited = show(f"{unknown}/?run=sited&dwell=8")
+    expect(sited.locator("#clock")).to_have_text("8 s radar time\n2026-01-01 00:00:08 UTC")
+
+
 def test_a_run_without_truth_shows_what_it_can(stored: str, show: Open) -> None:
     page = show(f"{stored}/?run=blind&dwell=60&target=1")
     expect(page.locator("#tracks-caption")).to_contain_text("no truth")
@@ -131,7 +140,9 @@ def test_runs_are_found_by_words(stored: str, show: Open) -> None:
     page.get_by_role("searchbox", name="Find").fill("uniform blin")
     expect(rows).to_have_count(1)
     page.get_by_role("searchbox", name="Find").fill("nothing like it")
-    expect(page.locator("#runs-more")).to_have_text("No run has these words.")
+    expect(page.locator("#runs-none")).to_contain_text(re.compile("^No run matches “.+”\\."))
+    page.get_by_role("button", name="Clear the filter").click()
+    expect(page.locator("#run-table tbody tr")).to_have_count(3)
 
 
 def test_runs_say_when_they_began_how_long_they_are_and_how_they_ended(quiet: str, show: Open) -> None:

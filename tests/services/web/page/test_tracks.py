@@ -22,7 +22,8 @@ def test_tracks_come_are_confirmed_and_disappear(unknown: str, show: Open) -> No
     expect(caption).to_contain_text("1 confirmed, 1 tentative")
     expect(page.locator("#picture")).to_have_text("GOSPA 0 km (off 0, missed 0, false 0) · 0 swaps, 300 false/h")
     expect(page.locator("#beliefs")).to_have_text(
-        "NEES all 0.0, straight 0.0 · 0.0 % beyond 99 % · confirmed after 2 s, 95 % 2 s, 0 of 0 never found"
+        "NEES all 0.0, straight 0.0 · 0.0 % beyond 99 % · confirmed after 2 s of radar time, "
+        "95 % 2 s, 0 of 0 never found"
     )
     scrub.fill("8")
     expect(rows.locator("th")).to_have_text(["1", "3"])
