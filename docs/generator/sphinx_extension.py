@@ -37,12 +37,14 @@ PARTS: dict[str, Callable[[], str]] = {
     "store version": numbers.store_version,
     "metrics": numbers.metrics,
 }
-_PART = re.compile(r"^<!-- generated: (.*) -->$", re.MULTILINE)
+PART = re.compile(
+    r"^\*Generated: (.*)\. `make docs` fills it in\.\*$", re.MULTILINE
+)  # seen in a clone
 
 
 def generated(text: str) -> str:
     """A page with what the program says of itself in place of its marks. Raises KeyError for an unknown part."""
-    return _PART.sub(lambda mark: PARTS[mark[1]](), text)
+    return PART.sub(lambda mark: PARTS[mark[1]](), text)
 
 
 class NotebookParser(MystParser):
