@@ -129,7 +129,8 @@ class Pool:
         """Names of processes of another kind that are there.
 
         is_shown : this process has joined, and asks for those only that began before it: of two that began at once the
-                   earlier one stays. One that was delayed while it joined asks for all: they may not have seen it
+                   earlier one stays. One that was delayed each time that it joined asks for all: they may not have
+                   seen it
         """
         if is_shown:
             self._tokens.wait(max(self._shown_s + LATE_S + SETTLE_S - self._tokens.now_s(), 0.0))
@@ -143,20 +144,33 @@ class Pool:
         self._looked_s, self._cpu_s = self._tokens.now_s(), self._tokens.cpu_s()
 
     def join(self, check: Callable[[], None]) -> None:
-        """Show that this process is there, and claim its part; over when it serves it. `check` may raise to give up."""
-        asked_s = self._tokens.now_s()
-        seen = {token.moment for token in self._all()} | {token.moment for token, _ in list(self._tokens.arrived)}
-        self._shares.moment = later_than(seen, self._tokens.moment())  # whatever has come since this process looked
-        self.begin()
-        self._tokens.wait(SETTLE_S)
-        self._shown_s = self._tokens.now_s()
-        self._is_late = self._shown_s > asked_s + LATE_S
+        """Show that this process is there, and claim its part; over when it serves it. `check` may raise to give up.
+
+        One that was delayed before it was seen takes its token back and joins anew, behind all that have come.
+        """
+        self._enter()
+        for _ in range(MORE_LOOKS):
+            if not self._is_late:
+                break
+            check()
+            self._withdraw(list(self._shown))
+            self._enter()
         while True:
             self._decide(self._tokens.now_s())
             if self._shares.is_settled:
                 return
             check()
             self._tokens.wait(SETTLE_S / 2)
+
+    def _enter(self) -> None:
+        """Show that this process is there, with a moment that is later than all that it sees."""
+        asked_s = self._tokens.now_s()
+        seen = {token.moment for token in self._all()} | {token.moment for token, _ in list(self._tokens.arrived)}
+        self._shares.lapse(later_than(seen, self._tokens.moment()))
+        self.begin()
+        self._tokens.wait(SETTLE_S)
+        self._shown_s = self._tokens.now_s()
+        self._is_late = self._shown_s > asked_s + LATE_S
 
     def news(self) -> frozenset[int] | None:
         """The shards that are served from now on, if the core does not know them yet."""

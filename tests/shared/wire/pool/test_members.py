@@ -2,7 +2,9 @@
 
 import time
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from threading import Barrier
 
 import pytest
 
@@ -83,9 +85,8 @@ def test_word_of_one_that_is_gone_may_be_lost(
 
 
 def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
-    assert start("a").pool.others() == []
-    assert start("b", "zenoh:roof").pool.others() == ["a"]
-    assert start("c", "zenoh:roof", "2e4b").pool.others() == []
+    started = [start(*one) for one in (("a",), ("b", "zenoh:roof"), ("c", "zenoh:roof", "2e4b"))]
+    assert [one.pool.others() for one in started] == [["b"], ["a"], []]  # a token lives as long as its pool is kept
 
 
 def test_of_kinds_that_start_at_once_the_later_one_sees_the_other_when_they_have_joined(router: str) -> None:
@@ -130,6 +131,33 @@ def test_one_that_was_delayed_before_it_was_seen_leaves_the_other_its_pool(
     late.pool.join(go_on)
     assert (said, late.pool.others(is_shown=True)) == ([[]], ["b"])
     for process in (late, other):
+        process.session.close()
+
+
+def test_of_two_kinds_that_were_both_delayed_one_stays(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each looked before the other one was seen, and each was seen late: each left to the other what neither had."""
+    both = [_Process(router, *one, "4a6b") for one in (("a", ""), ("b", "zenoh:roof"))]
+    looked, joined = Barrier(2), Barrier(2)
+
+    def join(process: _Process) -> list[str]:
+        show, now_s, ahead_s = process.tokens.show, process.tokens.now_s, [0.0]
+
+        def delayed(shard: str, moment: str) -> Callable[[], None]:
+            if not ahead_s[0]:
+                looked.wait(WITHIN_S)
+                ahead_s[0] = 10.0
+            return show(shard, moment)
+
+        monkeypatch.setattr(process.tokens, "show", delayed)
+        monkeypatch.setattr(process.tokens, "now_s", lambda: now_s() + ahead_s[0])
+        process.pool.join(lambda: None)
+        joined.wait(WITHIN_S)
+        return process.pool.others(is_shown=True)
+
+    with ThreadPoolExecutor(2) as threads:
+        found = list(threads.map(join, both))
+    assert sorted(found) in ([[], ["a"]], [[], ["b"]])
+    for process in both:
         process.session.close()
 
 
