@@ -45,6 +45,7 @@ RUN = "under-attack"
 DWELLS = 8
 FLOOD = 50  # times
 BLOCK = zenoh.CongestionControl.BLOCK  # by default Zenoh may drop what is put behind much else
+KEPT: list[object] = []  # what was declared
 SHORT_S = 0.1  # who is not let in need not try for long
 
 
@@ -124,12 +125,22 @@ def _everything(session: Session) -> None:
             session.put(BY_MESSAGE[kind].key_of(message, build()), encode(message), congestion_control=BLOCK)
 
 
+def _show(session: Session, planner: str) -> None:
+    """Show a planner alive. A token is there as long as it is kept."""
+    name = ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name=planner)
+    KEPT.append(session.liveliness().declare_token(name))
+
+
 def _stranger(session: Session) -> None:
     """Tokens of planners, which would get tracks, and answers in place of metrics'."""
-    session.liveliness().declare_token(
-        ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name="planner-9")
-    )
-    session.declare_queryable(QUERY.format(metric="*"), lambda query: query.drop(), complete=True)
+    _show(session, "planner-9")
+    KEPT.append(session.declare_queryable(QUERY.format(metric="*"), lambda query: query.drop(), complete=True))
+
+
+def _many_planners(session: Session) -> None:
+    """Two hundred tokens of one planner's key, which would get most of the tracks."""
+    for i in range(200):
+        _show(session, f"ghost-{i}")
 
 
 def _tracks_of_others(session: Session) -> None:
@@ -144,8 +155,8 @@ def _tracks_of_others(session: Session) -> None:
             ):
                 key = BY_MESSAGE[type(message)].key_of(message, build(), slots)
                 session.put(key, encode(message), congestion_control=BLOCK)
-    for name in ("planner-9", "planner-9@0-7", "planner-9@8-15"):  # the last one is let show itself
-        session.liveliness().declare_token(ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name=name))
+    for name in ("planner-9", "planner-9@0-7", "planner-9@8-15", LIMITED):  # it is let show itself, and no other
+        _show(session, name)
 
 
 # What is done with whose key. What a role may send is sent by others: its own key is trusted with it.
@@ -153,6 +164,7 @@ ATTEMPTS: dict[str, tuple[str, Callable[[Session], None]]] = {
     "an observer sends everything": ("observer", _everything),
     "an observer passes for others": ("observer", _stranger),
     "an operator passes for a planner": ("operator", _stranger),
+    "a planner shows two hundred tokens": ("planner", _many_planners),
     "a planner asks for the same snapshot 4096 times": ("planner", _recalls),
     "a planner with slots speaks of the tracks of others": (LIMITED, _tracks_of_others),
     "an allocator is two thousand million dwells ahead": ("allocator", _far_waveform),
@@ -189,12 +201,14 @@ def test_a_run_ends_with_its_digest_whatever_is_tried(
         assert until(lambda: services.buses[Role.RECORDER].inbox.bad_of_topic["snapshot"] == 2)
         assert until(lambda: services.buses[Role.PLANNER].inbox.bad_of_topic["handover"] == 4)
         assert _row(secured)["status"] == "running"
+        assert until(lambda: bus.alive().names[Role.PLANNER] == ["planner.here", LIMITED])
         services.start(Role.ALLOCATOR)
         assert until(lambda: _row(secured)["status"] == "complete", 30.0)
         assert _row(secured)["digest"] == in_process.play(start).run["digest"]
         assert _row(secured)["conflicts"] == 0
     finally:
         bus.close()
+        KEPT.clear()
         for session in sessions.values():
             session.close()
 
