@@ -37,9 +37,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "store version": numbers.store_version,
     "metrics": numbers.metrics,
 }
-PART = re.compile(
-    r"^\*Generated: (.*)\. `make docs` fills it in\.\*$", re.MULTILINE
-)  # seen in a clone
+PART = re.compile(r"^\*Generated: (.*)\. `make docs` fills it in\.\*$", re.MULTILINE)  # seen in a clone
 
 
 def generated(text: str) -> str:

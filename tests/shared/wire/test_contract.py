@@ -179,3 +179,10 @@ def test_the_protocol_has_another_number_when_the_wire_has_changed() -> None:
     digest.update("\n".join(payloads).encode())
     assert FILE.stat().st_size < 320_000
     assert (PROTOCOL, digest.hexdigest()[:8]) == (10, "7b2248ec")
+
+
+def test_the_keys_of_tokens_in_the_pages_have_the_number_of_the_protocol() -> None:
+    pages = (Path(__file__).parents[3] / "docs").rglob("*.md")
+    keys = [key for page in pages for key in re.findall(r"cogradar/(?:alive|claim|share)/\d+", page.read_text("utf-8"))]
+    assert len(keys) > 5
+    assert [key for key in keys if not key.endswith(f"/{PROTOCOL}")] == []
