@@ -383,7 +383,8 @@ def _with_truth(run: _Run, scan: Scan, waveform: Waveform | None) -> Sequence[Me
 def _note(run: _Run, scan: Scan, now_s: float) -> None:
     """Count what the front end came to in a dwell."""
     n_unmeasured = 0 if scan.unmeasured is None else scan.unmeasured.size
-    n_measured = np.unique(scan.bins if scan.nus is None else scan.nus).size  # a look may have several rows
+    looks = scan.bins if scan.nus is None else scan.nus
+    n_measured = len(set(looks.tolist()))  # a look may have several rows
     run.front_end.note(n_measured, n_unmeasured, scan.fault, now_s)
 
 

@@ -28,7 +28,7 @@ def product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     if a.shape[-1] != b.shape[0] or a.ndim > 2 or b.ndim > 2:
         raise ValueError(f"product of {a.shape} and {b.shape}")
     left, right = np.ascontiguousarray(a, kind), np.ascontiguousarray(b, kind)
-    found = multiply(np.atleast_2d(left), right if right.ndim == 2 else right[:, np.newaxis])
+    found = multiply(left if left.ndim == 2 else left[np.newaxis], right if right.ndim == 2 else right[:, np.newaxis])
     return np.asarray(found.reshape(a.shape[:-1] + b.shape[1:]))
 
 

@@ -46,7 +46,8 @@ def may_plan(planner: str, track: int) -> bool:
 
 def may_be_said(message: Message, slots: str) -> bool:
     """Whether all tracks of a message, and its sender if it names one, belong to the slots on its key."""
-    tracks = [message.target] if hasattr(message, "target") else getattr(message, "targets", [])
-    sender = next((getattr(message, name) for name in ("planner", "process") if hasattr(message, name)), f"@{slots}")
+    said = vars(message)  # to ask a model for what it lacks takes long
+    tracks = [said["target"]] if "target" in said else said.get("targets", [])
+    sender = next((said[name] for name in ("planner", "process") if name in said), f"@{slots}")
     is_sender = slots_of(sender) == slots
     return is_sender and all(track % N_SLOT in slots_in(slots) for track in tracks)

@@ -153,10 +153,10 @@ def first_echo(
     used = sigma_hat > 0.0
     variance, own = sigma_hat[used] ** 2, own[used]
     r_sq = squared_modulus(alpha_hat[used]) / variance
-    echo = max(float(np.mean(variance * (r_sq - 1.0))), least)
+    echo, is_own = max(float(np.mean(variance * (r_sq - 1.0))), least), bool(own.all())
     for _ in range(_STEPS):
-        expected = np.where(own, r_sq, _mean_below(r_sq, 1.0 + echo / variance))
-        echo = max(float(np.mean(_expected_echo(echo, expected, variance))), least)
+        expected = r_sq if is_own else np.where(own, r_sq, _mean_below(r_sq, 1.0 + echo / variance))
+        echo = max(float(_expected_echo(echo, expected, variance).mean()), least)
     return echo
 
 

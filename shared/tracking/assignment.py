@@ -122,7 +122,8 @@ class Assignment:
         """Rows of detections that no track has, the strongest of each echo, the strongest first."""
         over, scan, claimed = self._over, self._scan, np.zeros(self._scan.nus.size, np.bool_)
         claimed[over[self._alone[self._alone >= 0]]] = True
-        for label in np.unique(self._labels[self._alone == _COMPETES]).tolist():
+        competing = self._labels[self._alone == _COMPETES]
+        for label in np.unique(competing).tolist() if competing.size else ():
             cluster = self._cluster(label)
             claimed[cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]]] = True
         columns = (scan.statistic, heard(scan.alpha_hat), scan.sigma_hat)
