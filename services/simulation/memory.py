@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from cogradar.services.allocator.track_update import updated
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.emulator.cycle import scan_message, transmission
-from cogradar.services.planner.decision import decide
+from cogradar.services.planner.decision import decide, warm_up
 from cogradar.services.planner.owned_track import born_of, detections_of
 from cogradar.services.simulation.front_end import simulated
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
@@ -45,6 +45,7 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     start,
     transmission,
     updated,
+    warm_up,
     waveform,
 )
 
