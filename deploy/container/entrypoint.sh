@@ -21,11 +21,12 @@ if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
     set -- service "$role" --name "$role-$(hostname)" "$@"
 fi
 
-# Several certificates, as /keys/*/zenoh.json5: this process takes the first one that no other container of this machine
-# has, for each is for one process. The lock lasts as long as the file is open: to the end of what follows.
+# Several certificates, as /keys/*/zenoh.json5: this process takes one that no other container of this machine has, for
+# each is for one process. The lock lasts as long as the file is open: to the end of what follows. They are tried in any
+# order: a container of another machine may have one, and who was refused for it takes another one at the next start.
 case ${COGRADAR_ZENOH:-} in
 *'*'*)
-    for file in $COGRADAR_ZENOH; do
+    for file in $(shuf -e $COGRADAR_ZENOH); do
         exec 9<"$file"
         flock --nonblock 9 || continue
         export COGRADAR_ZENOH="$file"

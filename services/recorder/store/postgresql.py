@@ -44,7 +44,7 @@ _SESSION = (
     # What is acknowledged is on a disk, whatever the server does by itself. More than that is the server's to say.
     " SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'"
 ).encode()
-# States: lost or ended sessions, a server that begins, a replica, a lock;
+# States: lost or ended sessions, a server that begins, a replica, a lock.
 _AWAY = re.compile("08|57P|25P03|25006|55P03")
 _FULL = re.compile("53|58|XX")  # no room, an I/O error, a fault of the server: another time it may be able to
 _DAMAGED = re.compile("XX00[12]|58P01")  # a page, an index, a file of the server that is missing
