@@ -6,6 +6,7 @@ where it was stopped, as a restart of everything does.
 """
 
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -173,15 +174,19 @@ def _keep(store: Path, sample: Sample) -> None:
 
 
 def _kept(store: Path) -> list[Sample]:
-    """What was sampled before; the end of a line that was cut off is left out. Raises BadInput."""
+    """What was sampled before; the end of a line that was cut off is removed. Raises BadInput."""
     path = _samples_of(store)
     if store.exists() and not path.exists():
         raise BadInput(f"{store}: there is no {path.name} beside it, so it is no store of this study; name another")
     path.touch()
+    *lines, end = path.read_text(encoding="utf-8").split("\n")
     try:
-        return [Sample(**json.loads(line)) for line in path.read_text(encoding="utf-8").split("\n")[:-1]]
+        samples = [Sample(**json.loads(line)) for line in lines]
     except (ValueError, TypeError) as error:
         raise BadInput(f"{path}: no samples of this study: {error}") from None
+    if end:  # or the next sample would be written behind it
+        os.truncate(path, path.stat().st_size - len(end.encode()))
+    return samples
 
 
 def _turn(endpoints: Iterable[tuple[Core, Bus]]) -> bool:

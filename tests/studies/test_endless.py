@@ -1,5 +1,6 @@
 """A run without an end that is stopped goes on from its store."""
 
+import json
 import threading
 from pathlib import Path
 
@@ -14,7 +15,10 @@ def test_a_run_that_was_stopped_goes_on_from_its_store(tmp_path: Path, monkeypat
     store, stop = str(tmp_path / "week.db"), threading.Event()
     with pytest.raises(Interrupted, match="keeps what was played"):
         endless.play(10.0, 1, lambda _: stop.set(), stop, store=store)
+    kept = Path(f"{store}.samples.jsonl")
+    kept.write_text(kept.read_text() + '{"dwells": ')  # of a sample whose writing a power cut ended
     whole = endless.play(10.0, 1, lambda _: None, threading.Event(), dwells=150, store=store).samples
+    assert [json.loads(line)["dwells"] for line in kept.read_text().splitlines()] == [one.dwells for one in whole]
     assert [sample.start for sample in whole] == [0] + [1] * (len(whole) - 1)
     assert 0 < whole[0].dwells < whole[1].dwells < whole[2].dwells
     assert whole[-2].dwells < 150 <= whole[-1].dwells == whole[-1].kept
