@@ -112,7 +112,7 @@ export class Course {
     await Plotly.react(node, panels.flatMap(({ traces }, i) => traces(data, line, i + 1)), this.shape(panels), CONFIG);
     if (data !== this.data) return;
     if (!node.contains(this.line)) node.append(this.marker());
-    if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
+    if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(Math.round(points[0].x)));
     this.isHeard = true;
     this.line.style.height = `${node.clientHeight - MARGIN.b}px`;
     this.head();

@@ -49,14 +49,18 @@ export const axis = (more) => ({
   ...more,
 });
 
+const STUB = 0.4; // dwells: of a line that has one dwell, which would not be seen
+
 // Values over dwells with a break where `isBroken(i)` says that one does not follow the one before: a line does not go
 // across, and an area whose edges meet in `middle` there has no height.
 export function parted(x, y, isBroken, middle = null) {
   const found = { x: [], y: [] };
   const add = (at, value) => (found.x.push(at), found.y.push(value));
+  const isEnd = (i) => i === 0 || i === y.length || isBroken(i);
   y.forEach((value, i) => {
     if (i && isBroken(i)) for (const j of middle ? [i - 1, i] : [i]) add(x[j], middle ? middle[j] : null);
     add(x[i], value);
+    if (!middle && isEnd(i) && isEnd(i + 1)) add(x[i] + STUB, value);
   });
   return found;
 }
@@ -66,8 +70,8 @@ export function parted(x, y, isBroken, middle = null) {
 export function lines(data) {
   const isBroken = (i) => data.t[i] - data.t[i - 1] > data.every || isMeasured(data, i) !== isMeasured(data, i - 1);
   return (y, row, { middle, ...more } = {}) => ({
-    ...parted(data.t, y, isBroken, middle), yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
-    hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
+    ...(more.mode === "markers" ? { x: data.t, y } : parted(data.t, y, isBroken, middle)), yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
+    hovertemplate: "%{y:.3~g} at dwell %{x:.0f}<extra></extra>", ...more,
   });
 }
 

@@ -10,7 +10,8 @@ from tests.services.web.page.conftest import Open, until
 pytestmark = pytest.mark.browser
 
 MISSING = range(40, 60)  # dwells that never happened, as the receiver was away
-PAUSED = range(80, 100)  # dwells without transmission
+ALONE = 90  # a dwell with transmission
+PAUSED = {*range(80, 100)} - {ALONE}  # dwells without
 # Of each line of a chart that is seen: the dwells around its breaks.
 BREAKS = """(id) => {
   const lines = document.getElementById(id).data.filter((one) => one.mode === 'lines' && one.line.width > 0);
@@ -52,7 +53,7 @@ def test_no_line_of_a_course_goes_across_an_outage_or_a_pause(stored: str, show:
     page = show(f"{stored}/?run=wandering&dwell=120&target=1", before=_answers)
     until(page, "document.getElementById('course').data?.length > 3")
     share, snr, statistic, threshold, p_d, error, floor = page.evaluate(f"({BREAKS})('course')")
-    outage, pause = [39, 60], [79, 100]
+    outage, pause = [39, 60], [79, ALONE]
     assert outage in share
     assert outage in snr  # where the target was is known in a pause
     for line in (threshold, p_d, error, floor):
@@ -60,6 +61,14 @@ def test_no_line_of_a_course_goes_across_an_outage_or_a_pause(stored: str, show:
         assert pause in line
     assert pause in statistic
     assert any(begin <= outage[0] < outage[1] <= end for begin, end in statistic)
+    alone = page.evaluate(
+        "(t) => document.getElementById('course').data.filter((one) => one.mode === 'lines' && one.line.width > 0)"
+        ".map(({ x, y }) => y.filter((value, i) => value !== null && Math.round(x[i]) === t).length)",
+        ALONE,
+    )
+    assert alone == 7 * [2]  # a line of one point is not seen
+    crosses = page.evaluate("document.getElementById('course').data.find((one) => one.mode === 'markers').x")
+    assert len(crosses) == len(set(crosses))
     low, high = page.evaluate(
         "document.getElementById('course').data.filter((one) => one.line.width === 0).map(({ x, y }) =>"
         " x.map((t, i) => [t, y[i]]).filter(([t]) => t === 39 || t === 60))"
