@@ -78,7 +78,12 @@ def experiments(store: Store, selection: Selection, left_out: Callable[[Damaged]
         mine = [run for run in runs if (run["experiment"], _dwells(run)) == (number, dwells)]
         mine.sort(key=lambda run: (run["seed"], run["run"]))
         complete, failed = (tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), BROKEN))
-        if complete and (row := store.whole_row(complete[0]["run"])):
+        try:
+            row = store.whole_row(complete[0]["run"]) if complete else None
+        except Damaged as error:  # of its document, which no other run has then
+            damaged.append(error)
+            continue
+        if row is not None:
             document = json.loads(row["document"])
             name, title = mine[0]["scenario"], document["title"]
             alone = documents["n"] == 1 and document["radar"]["planner"]["rule"] not in TRUE_RULES

@@ -307,7 +307,7 @@ def test_a_report_believes_no_score_that_was_changed(name: str, table: str) -> N
     assert done.stdout == ""
 
 
-@pytest.mark.parametrize(("table", "column"), [("score", "k"), ("run", "seed")])
+@pytest.mark.parametrize(("table", "column"), [("score", "k"), ("run", "seed"), ("run", "document")])
 def test_reports_and_figures_are_of_the_other_runs_and_name_the_damaged_one(
     name: str, table: str, column: str, tmp_path: Path
 ) -> None:
