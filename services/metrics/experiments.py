@@ -80,8 +80,8 @@ def experiments(store: Store, selection: Selection, left_out: Callable[[Damaged]
         complete, failed = (tuple(run for run in mine if run["status"] in kinds) for kinds in (("complete",), BROKEN))
         try:
             row = store.whole_row(complete[0]["run"]) if complete else None
-        except Damaged as error:  # of its document, which no other run has then
-            damaged.append(error)
+        except Damaged as of_document:  # which no other run has then
+            damaged.append(of_document)
             continue
         if row is not None:
             document = json.loads(row["document"])
