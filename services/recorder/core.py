@@ -201,9 +201,11 @@ class RecorderCore:
             return None
 
     def _end(self, end: RunEnd) -> Sequence[Message]:
-        if end.run in self._runs:
-            self._runs[end.run].end = end
-            return self._advance(self._runs[end.run])
+        if (run := self._runs.get(end.run)) is not None:
+            # The first one counts, as of all messages: an emulator that comes back after the end skips to another one.
+            if run.end is None or end.status != "complete":
+                run.end = end
+            return self._advance(run)
         if not self._knows(end.run):
             self._pending.add(end)
         return self._repeat_end(end.run)

@@ -206,7 +206,7 @@ class RecordedRun:
             self.t, self.tracks, self.born_ks, self.known_k = dwell.t, dwell.tracks, dwell.born_ks, self.k
             self._plans = {m: plan for m, plan in self._plans.items() if m in dwell.tracks or plan.k > self.k}
         elif self.t > 0 or self._radar.is_unknown:
-            self.t += 1  # the scan is missing; the targets fly on
+            self.t = min(self.t + 1, self.start.dwells)  # the scan is missing; the targets fly on, to the last dwell
         self._longest = max(self._longest, self._inactive)
         self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
         if self.pacing.has_deadlines:

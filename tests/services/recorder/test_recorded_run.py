@@ -187,3 +187,17 @@ def test_a_dwell_that_a_run_cannot_have_is_refused() -> None:
     far = scans(sent)[-1].model_copy(update={"k": 2 * SMOKE.radar.acquisition.max_scans + 7})
     with pytest.raises(Refused, match=f"dwell {far.k} of a run that ends by {far.k - 1}"):
         core.handle(far)
+
+
+@pytest.mark.parametrize("is_first_lost", [False, True])
+def test_an_emulator_that_comes_back_after_the_end_and_skips_to_a_later_one_adds_no_dwell(
+    is_first_lost: bool,
+) -> None:
+    """It began in mid-acquisition, by a checkpoint of that time, and skipped to the waveform of the newest dwell."""
+    sent = play(smoke_start(dwells=6))
+    (end,) = (message for message in sent if isinstance(message, RunEnd))
+    core, journal = _recorded([m for m in sent if not (is_first_lost and m is end)], lacking=(Plan,))
+    core.handle(end.model_copy(update={"k": end.k + 1}))
+    _pass_time(core)
+    k, t = _complete(core, journal)
+    assert (k, t) == (end.k + 1 + is_first_lost, end.t)

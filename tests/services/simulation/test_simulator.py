@@ -43,7 +43,7 @@ from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
 from tests.services.simulation.plain import PLAIN
 
-IN_CI, LOT = 1200, 200  # schedules, and of them in one test
+IN_CI, LOT = 5000, 250  # schedules, and of them in one test
 
 
 @pytest.fixture(autouse=True, scope="module")
