@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from cogradar.services.allocator.track_update import updated
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.emulator.cycle import scan_message, transmission
-from cogradar.services.planner.decision import decide, warm_up
+from cogradar.services.planner.decision import decide
 from cogradar.services.planner.owned_track import born_of, detections_of
 from cogradar.services.simulation.front_end import simulated
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
@@ -29,7 +29,8 @@ from cogradar.shared.wire.codec import decode, encode
 
 T = TypeVar("T")
 PACKAGES = ("cogradar.services.", "cogradar.shared.")
-# Functions whose stored result saves more time than its key takes to compute.
+# Functions whose stored result saves more time than its key takes to compute. Not what a run warms up with: a decision
+# of one simulation, taken in each run, is what shows a search that is not pure.
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
     born_of,
     decode,
@@ -45,7 +46,6 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     start,
     transmission,
     updated,
-    warm_up,
     waveform,
 )
 

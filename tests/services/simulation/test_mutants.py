@@ -17,7 +17,10 @@ def test_a_planted_fault_has_its_place_and_is_a_program(mutant: Mutant) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("name", "outcome"), [("begins unfinished runs at the next dwell", 0), ("as late", 1)])
+@pytest.mark.parametrize(
+    ("name", "outcome"),
+    [("begins unfinished runs at the next dwell", 0), ("searches go on with the random numbers", 0), ("as late", 1)],
+)
 def test_a_planted_fault_is_found(
     name: str, outcome: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
