@@ -9,6 +9,7 @@ import json
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
@@ -82,11 +83,16 @@ class Endless:
     samples: list[Sample]
 
     def thirds(self) -> list[dict[str, Any]]:
-        """What is held and the CPU time of a dwell: medians of the middle third of the dwells and of the last."""
-        third, found = len(self.samples) // 3, []
+        """What is held and the CPU time of a dwell: medians of the middle third of the dwells and of the last.
+
+        Memory is compared within the longest of the starts: it begins anew with each.
+        """
+        (longest, _), *_ = Counter(sample.start for sample in self.samples).most_common(1)
+        of_start, found = [sample for sample in self.samples if sample.start == longest], []
         for name, what in WHAT.items():
             unit = "ms" if name.endswith("_ms") else "MiB"
-            of_all = [getattr(sample, name) for sample in self.samples]
+            of_all = [getattr(sample, name) for sample in (of_start if name == "rss_mib" else self.samples)]
+            third = len(of_all) // 3
             before, after = (median(part or of_all) for part in (of_all[third:-third], of_all[-third:]))
             is_flat = after <= max(before * (1.0 + GROWTH), before + SLACK[unit])
             row = {"what": what, "unit": unit, "before": before, "after": after}

@@ -33,3 +33,12 @@ def test_a_store_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "week.db.samples.jsonl").write_text('{"dwells": 3}\n')
     with pytest.raises(BadInput, match="no samples of this study"):
         endless.play(1.0, 1, lambda _: None, threading.Event(), store=str(store))
+
+
+def test_memory_that_grows_within_a_start_is_seen_though_it_begins_anew_with_each() -> None:
+    samples = [
+        endless.Sample(500 * n, start, 200.0 + 10.0 * n, 50.0, 3.0, 9.0, 500, 1)
+        for start, most in ((0, 30), (1, 20), (2, 10))
+        for n in range(most)
+    ]
+    assert endless.Endless(1.0, samples).faults == ["memory: 345.0 MiB, then 445.0"]
