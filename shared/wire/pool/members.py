@@ -134,7 +134,11 @@ class Pool:
         """
         if is_shown:
             self._tokens.wait(max(self._shown_s + LATE_S + SETTLE_S - self._tokens.now_s(), 0.0))
-        others = [token for token in self._all() if token.shard.startswith(_PRESENT) and token.shard != self._kind]
+        there = self._all()
+        if is_shown:  # it is asked once only, and on a busy machine an answer may lack what comes from other processes
+            self._tokens.wait(LOOK_S)
+            there |= self._all()
+        others = [token for token in there if token.shard.startswith(_PRESENT) and token.shard != self._kind]
         is_heeded = not is_shown or self._is_late
         return sorted(token.name for token in others if is_heeded or token.moment < self._shares.moment)
 
