@@ -115,11 +115,14 @@ def test_the_whole_system_runs_with_certificates() -> None:
     """A run on it has the digest of one process; without a key, or with a planner's, nobody is answered."""
     command = ("cogradar", "run", "smoke", "--dwells", DWELLS, "--json")
     answer = wait_for("a run", lambda: json.loads(_try("run", "--rm", "cli", *command[1:]) or "null"))
-    alone = json.loads(_try("exec", "--env", "COGRADAR_CONNECT=", "planner", *command, "--in-process"))
+    bare = ("exec", "--env", "COGRADAR_CONNECT=", "--env", "COGRADAR_ZENOH=")
+    alone = json.loads(_try(*bare, "planner", *command, "--in-process"))
     assert answer["digest"] == alone["digest"]
     asked = ("cogradar", "query", "runs", "--json")
     assert json.loads(_try("exec", "operator", *asked))[0]["digest"] == answer["digest"]
-    assert _try("exec", "planner", *asked) == ""
+    key = "/keys/planner.1/zenoh.json5"
+    assert _try("exec", "planner", "cat", key) != ""
+    assert _try("exec", "--env", f"COGRADAR_ZENOH={key}", "planner", *asked) == ""
     assert _try("exec", "--env", "COGRADAR_ZENOH=", "operator", *asked) == ""
     assert "is open" not in _compose("logs", "router")
 
