@@ -46,7 +46,12 @@ export class Pattern {
     this.kind = radar.is_unknown ? "track" : "target";
     this.latest.everyMs = dwell.targets.length > MANY ? MANY_EVERY_MS : EVERY_MS;
     const key = `${radar.run} ${dwell.t}`;
-    if (key === this.key) this.draw();
+    if (dwell.isotropic === null) {
+      this.latest.forget();
+      this.data = null;
+      this.problem = { message: "the waveform of this dwell is not stored" };
+      this.draw();
+    } else if (key === this.key) this.draw();
     else this.latest.want(radar.run, dwell.t);
     this.key = key;
   }

@@ -153,6 +153,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
     scan = stored["scan"][0] if stored["scan"] else None
     cells, statistics = _cells(known.scan_rows, scan), _statistics(known.scan_rows, rows, scan)
     sent = waveforms[0] if waveforms else None
+    everywhere = known.radar.array.power if picture["waveform_k"] < 0 else None  # before the first waveform
     is_unknown = scan is not None and "roster" in scan
     tracks = tracks_of(known, scan, sent, stored["plan"], rows) if scan is not None and is_unknown else None
     covariances = {plan["target"] + 1: plan["covariance"] for plan in stored["plan"]}
@@ -169,7 +170,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "utc_s": _utc_s(known, scan, t),
         "threshold": known.threshold,
         "stale": picture["waveform_k"] != k - 1,
-        "isotropic": sent["isotropic"] if sent is not None else None,
+        "isotropic": sent["isotropic"] if sent is not None else everywhere,
         "targets": shown,
         "tracks": tracks,
         "search": search_of(known, scan) if scan is not None and is_unknown else None,

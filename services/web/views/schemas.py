@@ -163,7 +163,7 @@ class DwellEvent(Document):
     )
     threshold: float
     stale: bool = Field(description="In real time: it was radiated with an older waveform.")
-    isotropic: float | None
+    isotropic: float | None = Field(description="null: its waveform is not stored.")
     targets: list[TargetOfDwell]
     tracks: list[TrackOfDwell] | None = Field(description="null: their number is known.")
     search: Search | None

@@ -212,6 +212,26 @@ def _with_processes(
     page.route("**/processes", answered)
 
 
+def test_no_beampattern_is_asked_for_where_the_waveform_is_not_stored(quiet: str, show: Open) -> None:
+    def without(route: Route) -> None:
+        answer = route.fetch()
+        document = answer.json()
+        for dwell in document["dwells"]:
+            dwell["isotropic"] = None
+        route.fulfill(response=answer, json=document)
+
+    asked = list[str]()
+
+    def begin(page: Page) -> None:
+        page.on("request", lambda request: asked.append(request.url))
+        page.route("**/dwells?*", without)
+
+    page = show(f"{quiet}/?run=over", before=begin)
+    expect(page.locator("#pattern")).to_have_text("No beampattern: the waveform of this dwell is not stored.")
+    assert any("/dwells?" in url for url in asked)
+    assert [url for url in asked if "beampattern" in url] == []
+
+
 def test_dwells_that_are_due_and_do_not_come_are_said_within_seconds(quiet: str, show: Open) -> None:
     """Five dwells a second: there is none for two seconds."""
     frozen = _planner("emulator-0", answers=False, began_utc_s=None) | {"role": "emulator"}
