@@ -18,6 +18,7 @@ from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed
 WAKE_S = 0.2  # for threads of the transport to see that their link was closed
 LOOK_S = 0.1  # between two decisions
+ASK_S = 1.0  # for an answer about tokens
 LATE_S = 3 * SETTLE_S  # from a look at tokens until the own one is seen: after that others may have looked in vain
 MORE_LOOKS = 4  # at tokens, if own ones are not among them
 _PRESENT = "any-"  # begins the part of a key that is no shard
@@ -134,11 +135,7 @@ class Pool:
         """
         if is_shown:
             self._tokens.wait(max(self._shown_s + LATE_S + SETTLE_S - self._tokens.now_s(), 0.0))
-        there = self._all()
-        if is_shown:  # it is asked once only, and on a busy machine an answer may lack what comes from other processes
-            self._tokens.wait(LOOK_S)
-            there |= self._all()
-        others = [token for token in there if token.shard.startswith(_PRESENT) and token.shard != self._kind]
+        others = [token for token in self._all() if token.shard.startswith(_PRESENT) and token.shard != self._kind]
         is_heeded = not is_shown or self._is_late
         return sorted(token.name for token in others if is_heeded or token.moment < self._shares.moment)
 
@@ -235,14 +232,16 @@ class Pool:
 
     def _all(self) -> set[Token]:
         """All tokens. Of a process that computes, an answer may come before the threads of its transport have had
-        their turn, and is empty then: if it lacks own tokens, they are asked for again.
+        their turn, and is empty then: if it lacks own tokens, they are asked for again. So they are if it took as long
+        as it may: it was cut off, and has perhaps no more than own ones, which no router is needed for.
         """
-        there = self._tokens.there()
-        for _ in range(MORE_LOOKS):
-            if {token.shard for token in there if token.moment == self._shares.moment} >= self._shown.keys():
+        for _ in range(1 + MORE_LOOKS):
+            asked_s = self._tokens.now_s()
+            there = self._tokens.there()
+            own = {token.shard for token in there if token.moment == self._shares.moment}
+            if own >= self._shown.keys() and self._tokens.now_s() < asked_s + ASK_S:
                 break
             self._tokens.wait(LOOK_S)
-            there = self._tokens.there()
         return there
 
     def _decide(self, now_s: float) -> None:

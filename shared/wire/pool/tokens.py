@@ -11,10 +11,9 @@ from functools import partial
 import zenoh
 
 from cogradar.shared.protocol.topics import PROTOCOL, SHARE, Role
-from cogradar.shared.wire.pool.members import Token
+from cogradar.shared.wire.pool.members import ASK_S, Token
 from cogradar.shared.wire.pool.shares import SETTLE_S
 
-ASK_S = 1.0  # for an answer about tokens
 AGAIN_S = 2.0  # between two looks at all tokens: word of one that is gone may have been lost, or come too early
 
 

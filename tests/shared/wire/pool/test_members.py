@@ -1,5 +1,6 @@
 """A pool over real tokens: who is there, who is gone, and who was away."""
 
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -87,6 +88,27 @@ def test_word_of_one_that_is_gone_may_be_lost(
 def test_another_kind_is_named(start: Callable[..., _Process]) -> None:
     started = [start(*one) for one in (("a",), ("b", "zenoh:roof"), ("c", "zenoh:roof", "2e4b"))]
     assert [one.pool.others() for one in started] == [["b"], ["a"], []]  # a token lives as long as its pool is kept
+
+
+def test_an_answer_that_was_cut_off_is_asked_for_again(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A router that is slow, or frozen: own tokens are in the answer all the same."""
+    first, second = start("a", "", "5f7a"), start("b", "zenoh:roof", "5f7a")
+    there, asked = second.tokens.there, list[float]()
+
+    def cut_off() -> set[Token]:
+        if threading.current_thread() is not threading.main_thread():  # it looks again now and then
+            return there()
+        asked.append(time.monotonic())
+        if len(asked) > 1:
+            return there()
+        time.sleep(members.ASK_S)
+        return {token for token in there() if token.name == "b"}
+
+    monkeypatch.setattr(second.tokens, "there", cut_off)
+    assert second.pool.others() == ["a"]
+    assert (len(asked), first.pool.others()) == (2, ["b"])
 
 
 def test_of_kinds_that_start_at_once_the_later_one_sees_the_other_when_they_have_joined(router: str) -> None:
