@@ -14,7 +14,7 @@ from cogradar.shared.scenario.faults import printable
 _FILE = re.compile(r"(?:base/\d+|pg_tblspc/\d+/\w+/\d+)/(\d+)")  # as a server names the file of a relation
 _INDEX = re.compile(r'index "([^"]+)"')
 MOST_ROWS = 300  # of a block of 8 KiB
-_OF_ALL = {"run", "leader"}  # tables of which an index is needed for each run
+_OF_ALL = {"run", "leader"}  # without an index of these tables no run can be read
 _QUERY = (
     "SELECT index.relname::text, kept.relname::text FROM pg_index JOIN pg_class AS index ON index.oid = indexrelid"
     " JOIN pg_class AS kept ON kept.oid = indrelid WHERE index.relnamespace = to_regnamespace($1)"
@@ -56,7 +56,7 @@ def index_damage(db: Any, store: str, schema: str, said: str, run: str) -> Damag
 
 
 def made_anew(session: Session, table: str) -> str:
-    """Put the rows of a table that can be read in its place. The old one stays, for whoever can read more of it.
+    """Replace a table by its rows that can be read. The old one stays: another program may read more of it.
 
     Returns the name that it has from now on. Raises NoRoom if that may not be done.
     """

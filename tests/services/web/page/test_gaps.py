@@ -16,9 +16,10 @@ PAUSED = {*range(80, 100)} - {ALONE}  # dwells without
 BREAKS = """(id) => {
   const lines = document.getElementById(id).data.filter((one) => one.mode === 'lines' && one.line.width > 0);
   const next = (one, i) => one.x[i + one.y.slice(i).findIndex((y) => y !== null)];
-  const breaks = (one) => one.y.flatMap((y, i) => (i && y === null && one.y[i - 1] !== null ? [[one.x[i - 1], next(one, i)]] : []));
+  const begins = (one, i) => i && one.y[i] === null && one.y[i - 1] !== null;
+  const breaks = (one) => one.y.flatMap((_, i) => (begins(one, i) ? [[one.x[i - 1], next(one, i)]] : []));
   return lines.map(breaks);
-}"""  # noqa: E501
+}"""
 
 
 def _without(document: dict[str, Any], n: int) -> dict[str, Any]:
