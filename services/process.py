@@ -26,7 +26,7 @@ from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
-from cogradar.shared.wire.queries import Claim, alive, names_alive
+from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
@@ -54,6 +54,15 @@ class Gathering(Protocol):
     """A core that shows what all processes count, in threads of its own."""
 
     gather: Callable[[], Any] | None
+
+
+@runtime_checkable
+class Leading(Protocol):
+    """A core that leads runs, by a journal that has one leader after the other."""
+
+    @property
+    def epoch(self) -> int:
+        """Since when, by the journal; 0: it leads none."""
 
 
 def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event, allow: str | None = None) -> None:
@@ -96,7 +105,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             closing.callback(core.close)
         session = open_session(connect.split(","), None, check=check)
         closing.callback(session.close)
-        claim = _check_others(service, start, session, check)  # shown until the session is closed
+        epoch = core.epoch if isinstance(core, Leading) else 0
+        claim = _check_others(service, start, session, check, epoch)  # shown until the session is closed
         pool = _joined(service.role, start, core, session, check) if isinstance(core, Sharing) else None
         bus = ZenohBus(session, service.role, start.name, pool=pool)
         closing.callback(_close, bus)
@@ -174,7 +184,8 @@ def _beat(heartbeat: Callable[[], None], role: Role, claim: Claim | None) -> Cal
         heartbeat()
         if name := claim.successor():
             raise Deposed(
-                f"{name} is {role} now: this process was frozen or cut off while the other one took over, and ends"
+                f"{name} is {role} now, in another process: this one was frozen or cut off while the other one took"
+                " over, and ends"
             )
 
     return beat
@@ -186,16 +197,18 @@ def _close(bus: ZenohBus) -> None:
         log.warning("dropped %d messages on %s", n, key)
 
 
-def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> Claim | None:
+def _check_others(
+    service: Service, start: Start, session: Session, check: Callable[[], None], epoch: int = 0
+) -> Claim | None:
     """Raise BadInput if one process alone plays a role, or has a name, and another one does; name other builds.
 
-    Two recorders would keep two journals of one run, two front ends transmit. Returns the claim of a process that is
-    alone, which must be shown as long as it lives.
+    Two recorders would keep two journals of one run, two front ends transmit, two planners of one name be taken for
+    one. Returns the claim of the process, which must be shown as long as it lives.
     """
-    is_alone = not service.scalable and service.role is not Role.OPERATOR  # there may be many operators
-    claim = _claimed(service.role, start.name, session, check) if is_alone else None
-    if service.scalable:
-        _check_name(service.role, start.name, session, check)
+    claim = None
+    if service.role is not Role.OPERATOR:  # there may be many operators
+        claim = Claim(session, service.role, start.name, is_of_name=service.scalable, epoch=epoch)
+        _settle(claim, service, start.name, check)
     there = alive(session, build())
     for stranger in there.strangers:
         log.warning("%s: they do not hear each other", stranger)
@@ -204,28 +217,18 @@ def _check_others(service: Service, start: Start, session: Session, check: Calla
     return claim
 
 
-def _check_name(role: Role, name: str, session: Session, check: Callable[[], None]) -> None:
-    """Raise BadInput if another process of the role has this name: both would be taken for one."""
-    begun = time.monotonic()
-    while name in names_alive(session, build(), role):
-        if time.monotonic() > begun + HOLDER_WITHIN_S:
-            raise BadInput(f"another {role} is there already under the name {name}: use another --name or certificate")
-        check()
-        time.sleep(HOLDER_POLL_S)
-
-
-def _claimed(role: Role, name: str, session: Session, check: Callable[[], None]) -> Claim:
-    """The claim to a role, with no rival left. A process that was killed seems alive for its lease. Raises BadInput.
+def _settle(claim: Claim, service: Service, name: str, check: Callable[[], None]) -> None:
+    """Show a claim until no rival is left. A process that was killed seems alive for its lease. Raises BadInput.
 
     Each looks before it shows its claim, too: one that is shown already is not asked to withdraw. Of several that show
     theirs at once all but the earliest withdraw, and the earliest is there once it sees no other.
     """
-    claim, begun, shown = Claim(session, role, name), time.monotonic(), 0.0
+    begun, shown = time.monotonic(), 0.0
     try:
         while True:
             rivals, is_later = claim.rivals()
             if not rivals and claim.is_shown and time.monotonic() >= shown + SETTLE_S:
-                return claim
+                return
             if not rivals and not claim.is_shown:
                 claim.show()
                 shown = time.monotonic()
@@ -233,7 +236,10 @@ def _claimed(role: Role, name: str, session: Session, check: Callable[[], None])
                 claim.drop()
             check()
             if rivals and time.monotonic() > begun + HOLDER_WITHIN_S:
-                raise BadInput(f"another {role} is there already: {', '.join(rivals)}; stop it first")
+                who = f"another {service.role} is there already"
+                if service.scalable:
+                    raise BadInput(f"{who} under the name {name}: use another --name or certificate")
+                raise BadInput(f"{who}: {', '.join(rivals)}; stop it first")
             time.sleep(min(HOLDER_POLL_S, SETTLE_S) if claim.is_shown else HOLDER_POLL_S)
     except BaseException:
         claim.drop()

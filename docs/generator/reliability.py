@@ -112,8 +112,8 @@ PROOFS = (
     ),
     Proof(
         "alone",
-        "Of several recorders that start at once, one lives.",
-        "50 starts of three real processes, up to 0.2 s apart",
+        "Of several recorders, or planners of one name, that start at once, one lives.",
+        "50 starts of three real processes of each, up to 0.2 s apart",
         f"{PYTEST}tests/services/test_alone.py",
     ),
     Proof(

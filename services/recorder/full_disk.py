@@ -53,6 +53,11 @@ class Recorder:
         """What it waits for."""
         return f"{self._trouble}; all runs are held" if self._core is None else ""
 
+    @property
+    def epoch(self) -> int:
+        """With which it leads the runs of its journal; 0: it could not begin yet."""
+        return self._journal.epoch
+
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers. Without room: that runs are held, until there is some."""
         try:

@@ -232,7 +232,8 @@ DWELL = Exchange.of("dwell", Transmit, Received, has_data=True)
 EXCHANGES = (OPENING, DWELL)
 
 ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
-# Liveliness token of a process that wants to be the only one of its role: of several the lowest moment, in text, stays.
+# Liveliness token of a process that wants to be the only one of its role, or where there may be several of its name: of
+# several the lowest moment, in text, stays.
 CLAIM = "cogradar/claim/{protocol}/{role}/{moment}/{name}"
 # Liveliness tokens of a process of a pool: one for each shard that it claims, and one that says that it is there.
 SHARE = "cogradar/share/{protocol}/{build}/{role}/{shard}/{moment}/{name}"

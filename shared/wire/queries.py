@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 
 MAX_QUESTION = 4096  # characters of a question's parameters
 STAYS_S = 1.0  # for which a later claim must be there: one that is only about to withdraw is gone by then
+LATEST_NS = 10**20 - 1  # since 1970, of a claim
 POLL_S = 0.002  # for the replies to a query
 
 ENCODINGS = {queryable.key: zenoh.Encoding(queryable.encoding) for queryable in QUERYABLES}  # of answers
@@ -97,22 +98,28 @@ def alive(session: zenoh.Session, own: str) -> Alive:
     return Alive(system, names, list(strangers.values()))
 
 
-def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:
-    """Names of the live processes of one role and build."""
-    return [name for *_, name in _tokens(session, ALIVE.format(protocol=PROTOCOL, build=build, role=role, name="*"))]
+def names_alive(session: zenoh.Session, build: str, role: Role, name: str = "*") -> list[str]:
+    """Names of the live processes of one role and build, or of one name."""
+    return [found for *_, found in _tokens(session, ALIVE.format(protocol=PROTOCOL, build=build, role=role, name=name))]
 
 
 class Claim:
-    """Of a process that wants to be the only one of its role: shown until it is dropped.
+    """Of a process that wants to be the only one of its role, or of its role and name: shown until it is dropped.
 
     A process that shows one, and then sees no other, is alone: another one that shows its own later sees this one. So
     clocks decide nothing but which of several that see each other withdraws.
     """
 
-    def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
-        """It is not shown yet."""
-        self._session, self._role, self._name = session, role, name
-        self._moment = f"{time.time_ns():020d}-{uuid.uuid4().hex[:8]}"
+    def __init__(
+        self, session: zenoh.Session, role: Role, name: str, *, is_of_name: bool = False, epoch: int = 0
+    ) -> None:
+        """It is not shown yet.
+
+        is_of_name : there may be others of the role, under other names
+        epoch      : of the journal that the process leads, by which a successor is later whatever its clock says
+        """
+        self._session, self._role, self._name, self._is_of_name = session, role, name, is_of_name
+        self._moment = f"{min(1000 * epoch or time.time_ns(), LATEST_NS):020d}-{uuid.uuid4().hex[:8]}"
         self._token: zenoh.LivelinessToken | None = None
         self._later: dict[str, tuple[str, float]] = {}  # claims: whose, and since when they are seen
         self._watch: Any = None
@@ -124,23 +131,21 @@ class Claim:
 
     def show(self) -> None:
         """Show it to others, before they are looked for."""
-        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment=self._moment, name=self._name)
-        self._token = self._session.liveliness().declare_token(key)
+        self._token = self._session.liveliness().declare_token(self._key(self._moment, self._name))
 
     def rivals(self) -> tuple[list[str], bool]:
         """Names of the processes of this role that are there, of any build, or show a claim; and whether one of these
         claims is earlier.
         """
-        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
-        replies = self._session.liveliness().get(key, timeout=1.0)
+        replies = self._session.liveliness().get(self._others, timeout=1.0)
         keys = [str(reply.ok.key_expr).split("/")[-2:] for reply in replies if reply.ok is not None]
         claims = {moment: name for moment, name in keys if moment != self._moment}
-        there = {*names_alive(self._session, "*", self._role), *claims.values()}
+        alive = names_alive(self._session, "*", self._role, self._name if self._is_of_name else "*")
+        there = {*alive, *claims.values()}
         return sorted(there), min(claims, default=self._moment) < self._moment
 
     def watch(self) -> None:
         """From now on see other claims of the role."""
-        key = CLAIM.format(protocol=PROTOCOL, role=self._role, moment="*", name="*")
 
         def on_token(sample: zenoh.Sample) -> None:
             moment, name = str(sample.key_expr).split("/")[-2:]
@@ -149,7 +154,7 @@ class Claim:
             else:
                 self._later.pop(moment, None)
 
-        self._watch = self._session.liveliness().declare_subscriber(key, on_token, history=True)
+        self._watch = self._session.liveliness().declare_subscriber(self._others, on_token, history=True)
 
     def successor(self) -> str:
         """Name of a process that took the role over while this one was not seen; "": there is none.
@@ -167,6 +172,13 @@ class Claim:
         if self._token is not None:
             self._token.undeclare()
             self._token = None
+
+    @property
+    def _others(self) -> str:
+        return self._key("*", self._name if self._is_of_name else "*")
+
+    def _key(self, moment: str, name: str) -> str:
+        return CLAIM.format(protocol=PROTOCOL, role=self._role, moment=moment, name=name)
 
 
 def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:

@@ -4,13 +4,16 @@ import logging
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from threading import Barrier
 
 import pytest
 
 from cogradar.services import process
 from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs.cluster import wait_until_alive
 from cogradar.services.topology import SERVICES, Start
 from cogradar.shared.protocol.build import build
@@ -64,19 +67,30 @@ def test_a_second_one_is_refused_and_told_who_is_there(
     _enter(role, session)  # it is gone
 
 
-def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("role", "names"),
+    [
+        (Role.RECORDER, ("a", "b", "c")),
+        (Role.PLANNER, ("a", "a", "a")),
+        (Role.EMULATOR, ("a", "a", "a")),
+        (Role.ALLOCATOR, ("a",) * 6),
+    ],
+)
+def test_of_several_that_start_at_once_one_lives(
+    role: Role, names: tuple[str, ...], router: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a role that several may have, if they have one name: copies of a certificate, or of a unit of systemd."""
     monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.6)
     monkeypatch.setattr(process, "SETTLE_S", 0.0)  # there is one router
-    names, ready, looked = ("a", "b", "c"), Barrier(3), Barrier(3)
+    ready, looked = Barrier(len(names)), Barrier(len(names))
 
     def start(name: str) -> str:
         """It shows itself alive as soon as it may, and stays until all have looked."""
         with open_session([router], 10.0, lambda: None) as session:
             ready.wait(30.0)
             try:
-                claim = process._check_others(SERVICES[Role.RECORDER], Start(name), session, lambda: None)
-                assert claim is not None
-                key = ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.RECORDER, name=name)
+                process._check_others(SERVICES[role], Start(name), session, lambda: None)
+                key = ALIVE.format(protocol=PROTOCOL, build=build(), role=role, name=name)
                 token = session.liveliness().declare_token(key)
             except BadInput as error:
                 looked.wait(30.0)
@@ -86,11 +100,11 @@ def test_of_several_that_start_at_once_one_lives(router: str, monkeypatch: pytes
             return ""
 
     for _ in range(ROUNDS):
-        with ThreadPoolExecutor(3) as threads:
+        with ThreadPoolExecutor(len(names)) as threads:
             said = list(threads.map(start, names))
         assert said.count("") == 1
         (winner,) = [name for name, text in zip(names, said, strict=True) if not text]
-        assert all(winner in text.partition("another recorder is there already: ")[2] for text in said if text)
+        assert all(winner in text.partition(f"another {role} is there already")[2] for text in said if text)
         while _is_seen(router):
             time.sleep(0.01)
 
@@ -196,6 +210,37 @@ def test_a_planner_knows_all_planners_before_it_hears_of_a_run(router: str, sess
             ]
         finally:
             bus.close()
+
+
+def test_a_successor_whose_clock_is_behind_stays(router: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of two recorders, one of which was frozen while a server gave its journal to the other: the journal says which
+    is the later one. Before, the one with the later clock stayed, and found that its journal is the other's.
+    """
+    monkeypatch.setattr("cogradar.shared.wire.queries.STAYS_S", 0.2)
+    claims = list[Claim]()
+    with ExitStack() as opened:
+        for hours in (2, 0):  # how far the clocks are ahead
+            now_ns = time.time_ns() + hours * 3600 * 10**9
+            with monkeypatch.context() as clock:
+                clock.setattr(time, "time_ns", lambda now_ns=now_ns: now_ns)
+                core = Recorder(Journal(str(tmp_path / "runs.db")))
+                core.close()
+                other = opened.enter_context(open_session([router], 10.0, lambda: None))
+                start = Start(f"recorder-{hours}")
+                claim = process._check_others(SERVICES[Role.RECORDER], start, other, lambda: None, core.epoch)
+            assert claim is not None
+            claim.watch()
+            claims.append(claim)
+            if hours and claim._token is not None:
+                claim._token.undeclare()  # it is frozen, and seems to be gone
+        claims[0].show()
+        until_s = time.monotonic() + 5.0
+        while not claims[0].successor():
+            assert time.monotonic() < until_s
+            time.sleep(0.02)
+        assert [claim.successor() for claim in claims] == ["recorder-0", ""]
+        for claim in claims:
+            claim.drop()
 
 
 def test_a_later_claim_that_stays_is_a_successor(
