@@ -21,7 +21,7 @@ from cogradar.shared.signal.array import angle_bin, apart, near_pairs, spatial_f
 from cogradar.shared.signal.looks import NEIGHBOURS, n_range_cells
 from cogradar.shared.signal.response import Response, response_of
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.assignment import unclaimed
+from cogradar.shared.tracking.assignment.shares import unclaimed
 from cogradar.shared.tracking.existence import ENDED_BELOW, existence_of
 from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, modes_after, predicted_moments
 from cogradar.shared.tracking.sensor import heard

@@ -30,7 +30,7 @@ from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from cogradar.shared.signal.waveform import beam_factor
-from cogradar.shared.tracking.assignment import load_solver
+from cogradar.shared.tracking.assignment.solver import load_solver
 from cogradar.shared.tracking.belief.across import AIM, echo_gain, needed_zeta
 from cogradar.shared.tracking.motion import predicted_mean
 

@@ -36,7 +36,7 @@ from cogradar.shared.signal.detector.data_set import DataSet, Processing, wald_t
 from cogradar.shared.signal.looks import Look, range_cells
 from cogradar.shared.signal.receiver import threshold, wald_test
 from cogradar.shared.signal.waveform import Signatures, beam_factor
-from cogradar.shared.tracking.assignment import Assignment
+from cogradar.shared.tracking.assignment.shares import Assignment
 from cogradar.shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
 from cogradar.shared.tracking.belief.particle_filter import predict, update
 from cogradar.shared.tracking.belief.resampling import regularise, resample, weigh

@@ -29,7 +29,7 @@ from cogradar.shared.signal.array import angle_bin, apart, mean_direction, spati
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
 from cogradar.shared.signal.response import FAR_KM, Response, strongest_of_each
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.assignment import Share, share_of
+from cogradar.shared.tracking.assignment.shares import Share, share_of
 from cogradar.shared.tracking.belief.likelihood import (
     Looks,
     found_look,

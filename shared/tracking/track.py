@@ -17,7 +17,8 @@ from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.scan import Detections, Strongest
 from cogradar.shared.tracking.acquisition import Candidates
-from cogradar.shared.tracking.assignment import load_solver, share_of, unclaimed
+from cogradar.shared.tracking.assignment.shares import share_of, unclaimed
+from cogradar.shared.tracking.assignment.solver import load_solver
 from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at

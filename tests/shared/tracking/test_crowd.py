@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from cogradar.shared.tracking import assignment, association
+from cogradar.shared.tracking import association
+from cogradar.shared.tracking.assignment import clusters
 
 Floats = NDArray[np.float64]
 LOBE, N_TRACK, N_LOOK = 0.01, 120, 150
@@ -34,8 +35,8 @@ def crowd(seed: int, cell_km: float) -> tuple[Floats, Floats]:
 def test_clusters_of_a_crowd_are_those_of_all_pairs(seed: int, cell_km: float) -> None:
     tracks, seen = crowd(seed, cell_km)
     order = np.random.default_rng(seed).permutation(N_LOOK)
-    labels, theirs, alone = assignment._separate(tracks, seen, order, LOBE, cell_km)
-    may_be = np.array([[assignment._may_be(one, look, LOBE, cell_km) for look in seen.T.copy()] for one in tracks])
+    labels, theirs, alone = clusters.separate(tracks, seen, order, LOBE, cell_km)
+    may_be = np.array([[clusters._may_be(one, look, LOBE, cell_km) for look in seen.T.copy()] for one in tracks])
     graph = np.block([[np.zeros((N_TRACK, N_TRACK)), may_be], [may_be.T, np.zeros((N_LOOK, N_LOOK))]])
     _, parts = connected_components(graph, directed=False)
     first = {part: int(np.flatnonzero(parts == part)[0]) for part in parts.tolist()}
@@ -44,7 +45,7 @@ def test_clusters_of_a_crowd_are_those_of_all_pairs(seed: int, cell_km: float) -
         first[part] if may_be[:, j].any() else -1 for j, part in enumerate(parts[N_TRACK:].tolist())
     ]
     competes = np.bincount(parts[:N_TRACK])[parts[:N_TRACK]] > 1
-    assert (alone == assignment._COMPETES).tolist() == competes.tolist()
+    assert (alone == clusters.COMPETES).tolist() == competes.tolist()
     assert may_be[np.flatnonzero(alone >= 0), alone[alone >= 0]].all()
     assert cell_km == np.inf or (alone >= 0).any()
     assert may_be.sum() > N_TRACK

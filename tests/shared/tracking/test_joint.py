@@ -13,16 +13,9 @@ from scipy.stats import norm
 from cogradar.shared.signal.array import around
 from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.assignment import (
-    CLUTTER_DENSITY,
-    IN_DOUBT,
-    P_D,
-    Share,
-    assigned,
-    is_in_doubt,
-    share_of,
-    unclaimed,
-)
+from cogradar.shared.tracking.assignment.clusters import CLUTTER_DENSITY, P_D
+from cogradar.shared.tracking.assignment.shares import Share, share_of, unclaimed
+from cogradar.shared.tracking.assignment.solver import IN_DOUBT, assigned, is_in_doubt
 from cogradar.shared.tracking.association import associate
 from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
