@@ -1,6 +1,8 @@
 """Compiling all kernels: a stop is obeyed, a folder that cannot be written is no end, old kernels go."""
 
 import errno
+import gc
+import multiprocessing
 import os
 import resource
 import signal
@@ -11,12 +13,15 @@ from pathlib import Path
 
 import pytest
 from filelock import lock_descriptor
+from numba.core.dispatcher import Dispatcher
 
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.tables import BELIEFS, BIN_RULES
+from cogradar.shared.tracking.assignment.shares import unclaimed
 from cogradar.shared.wire.session import free_port
+from tests.shared.tracking.test_joint import LOBE, scan_of, shares
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 COMMANDS = {
@@ -127,6 +132,35 @@ def test_kernels_of_every_filter_and_rule_are_compiled(monkeypatch: pytest.Monke
     assert {radar.belief.filter for radar in warmed} == set(BELIEFS)
     assert {radar.planner.rule for radar in warmed} == set(BIN_RULES)
     assert {radar.is_unknown for radar in warmed} == {True, False}
+
+
+@pytest.mark.slow
+def test_no_track_waits_for_the_compiler() -> None:
+    """What tracks that compete for detections need was compiled beforehand: a planner of a live run would stand still
+    for as long as it takes, and lose all tracks meanwhile.
+    """
+    with multiprocessing.get_context("spawn").Pool(1) as alone:  # what other tests called does not count
+        assert alone.apply(_compiled_late) == []
+
+
+def _compiled_late() -> list[str]:
+    kernels._compile(lambda _: None, None)
+    before = _compiled()
+    scan = scan_of([(0.1, 0.1, 50.25), (0.13, 0.13, 50.25)], [(0.1, 50.25), (0.13, 50.25)])
+    assert sorted(share.row for share in shares(scan)) == [0, 1]
+    assert unclaimed(LOBE, scan).size == 0
+    return sorted(_compiled() - before)
+
+
+def _compiled() -> set[str]:
+    """Kernels of this process with the types that they were called with."""
+    made = [thing for thing in gc.get_objects() if isinstance(thing, Dispatcher)]
+    return {
+        f"{kernel.py_func.__qualname__}{types}"
+        for kernel in made
+        if kernel.py_func.__module__.startswith("cogradar.")
+        for types in kernel.overloads
+    }
 
 
 def test_a_full_disk_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

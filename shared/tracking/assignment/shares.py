@@ -110,8 +110,9 @@ class Assignment:
         fits, turned, in_cell, in_lobe = pairs_of(tracks, found, self._places, self._seen, lobe, cell_km)
         rows = self._over[found]
         order = np.argsort(-self._scan.statistic[rows], kind="stable")
-        different = strongest_of_each(order, self._seen[:, found], fits, lobe, cell_km)
-        scores = np.maximum(fits, turned)[:, different]
+        # `take`: columns chosen by an index alone are in Fortran's order, for which a kernel is compiled again.
+        different = strongest_of_each(order, np.take(self._seen, found, axis=1), fits, lobe, cell_km)
+        scores = np.take(np.maximum(fits, turned), different, axis=1)
         scores = np.where(scores > 0.0, scores, NEVER)
         made = _Cluster(tracks, rows, fits, in_cell, in_lobe, different, scores, *assigned(scores))
         self._clusters[label] = made
