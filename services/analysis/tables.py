@@ -1,7 +1,9 @@
 """Tables as data: made by analysis and benches, shown by a terminal, or put between the markers of a Markdown page."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -9,13 +11,19 @@ from typing import Any
 from cogradar.services.errors import BadInput
 
 Row = Mapping[str, Any]
+LONG = 1e5  # from here on a number with decimals is 5.7e17: an estimate that is lost may be as far off as it likes
 
 
 class _Known(Formatter):
-    """Formats as `str.format` does; what is not known (None) is a dash."""
+    """Formats as `str.format` does; what is not known (None) is a dash, and what is long has an exponent."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        return "-" if value is None else str(super().format_field(value, format_spec))
+        if value is None:
+            return "-"
+        if format_spec.endswith("f") and LONG <= abs(value) < inf:
+            format_spec = ".1e"
+        text = str(super().format_field(value, format_spec))
+        return re.sub(r"e\+0*", "e", text) if isinstance(value, float) else text
 
 
 _KNOWN = _Known()

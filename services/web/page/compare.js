@@ -3,7 +3,7 @@
 import { Latest, ask, runPath } from "./api.js";
 import { color, onTheme } from "./palette.js";
 import { CONFIG, axis, layout, library, parted } from "./plot.js";
-import { byId, put } from "./text.js";
+import { byId, put, short } from "./text.js";
 import { show } from "./view.js";
 
 const EVERY_MS = 2000;
@@ -88,7 +88,7 @@ export class Compare {
 function words(one) {
   const parts = PANELS.map(([title, of]) => {
     const known = of(one).filter((value) => value !== null);
-    return known.length ? `${title} ${(known.reduce((sum, value) => sum + value, 0) / known.length).toPrecision(3)}` : null;
+    return known.length ? `${title} ${short(known.reduce((sum, value) => sum + value, 0) / known.length)}` : null;
   });
   return `${one.run}: ${parts.filter(Boolean).join(", ") || "no scores"}.`;
 }

@@ -1,6 +1,13 @@
-// Numbers as text: always as many digits, a dash for what is not known.
+// Numbers as text: always as many digits after the point, a dash for what is not known. From a hundred thousand on 5.7e17:
+// an estimate that is lost may be as far off as it likes.
 
-export const fixed = (value, digits = 1) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−"));
+const LONG = 1e5;
+
+export function fixed(value, digits = 1) {
+  if (value === null || value === undefined) return "–";
+  const text = Math.abs(value) < LONG ? value.toFixed(digits) : value.toExponential(1).replace("e+", "e");
+  return text.replace("-", "−");
+}
 
 export const percent = (share, digits = 1) => fixed(share === null || share === undefined ? null : 100 * share, digits);
 
@@ -8,7 +15,6 @@ export const percent = (share, digits = 1) => fixed(share === null || share === 
 export function short(value) {
   if (value === null || value === undefined) return "–";
   const size = Math.abs(value);
-  if (size >= 1e4) return value.toExponential(1).replace("e+", "e");
   return fixed(value, size >= 100 || Number.isInteger(value) ? 0 : size >= 10 ? 1 : 2);
 }
 

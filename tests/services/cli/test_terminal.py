@@ -88,6 +88,12 @@ def test_what_fits_is_one_line_a_row_under_its_heading() -> None:
     assert _lines(table, 80) == ["title", "name   p_d", "----------", "a     0.50", "bcd   1.00"]
 
 
+def test_a_number_that_is_long_before_its_point_has_an_exponent() -> None:
+    column = Column("NEES", "{nees:.2f}, {low:.1f}, {asked:.4g}")
+    assert column.cell({"nees": 568716483352072000.0, "low": -1.25e5, "asked": 1.0e5}) == "5.7e17, -1.2e5, 1e5"
+    assert column.cell({"nees": 99_999.0, "low": float("inf"), "asked": 4.0}) == "99999.00, inf, 4"
+
+
 def test_headings_are_broken_between_words() -> None:
     rows = [{"first_dwell": 1, "position_rmse_km": 2}, {"first_dwell": 3, "position_rmse_km": 4}]
     table = _table(rows, "first_dwell", "position_rmse_km")

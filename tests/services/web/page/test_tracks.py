@@ -25,6 +25,14 @@ def test_tracks_come_are_confirmed_and_disappear(unknown: str, show: Open) -> No
         "NEES all 0.0, straight 0.0 · 0.0 % beyond 99 % · confirmed after 2 s of radar time, "
         "95 % 2 s, 0 of 0 never found"
     )
+    # Of a target that is lost the error may be as large as it likes.
+    assert page.evaluate(
+        "import('/page/text.js').then(({ fixed, short }) => [fixed(5.687e17), short(-1.25e5), fixed(99999, 0)])"
+    ) == [
+        "5.7e17",
+        "\N{MINUS SIGN}1.3e5",
+        "99999",
+    ]
     scrub.fill("8")
     expect(rows.locator("th")).to_have_text(["1", "3"])
     expect(rows.locator("td:nth-child(4)")).to_have_text(["90.0", "90.0"])
