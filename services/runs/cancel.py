@@ -5,6 +5,7 @@ import logging
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from math import inf
 
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed
@@ -69,16 +70,16 @@ def cancel(session: Session, bus: Bus, runs: Collection[str]) -> list[str]:
         for run in left:
             bus.publish(RunCancel(run=run))
         try:
-            left = [run for run in left if status(session, run) in {"unknown", "running"}]
+            left = [run for run in left if status(session, run, deadline) in {"unknown", "running"}]
         except NoAnswer:
             continue
         time.sleep(POLL_S if left else 0.0)
     return left
 
 
-def status(session: Session, run: str) -> str:
-    """What metrics says of a run, or "unknown". Raises NoAnswer."""
-    rows = json.loads(ask(session, "runs", {"run": run}, ANSWER_WITHIN_S))
+def status(session: Session, run: str, deadline: float = inf) -> str:
+    """What metrics says of a run, or "unknown"; `deadline` is a reading of time.monotonic(). Raises NoAnswer."""
+    rows = json.loads(ask(session, "runs", {"run": run}, min(ANSWER_WITHIN_S, deadline - time.monotonic())))
     return str(rows[0]["status"]) if rows else "unknown"
 
 

@@ -104,10 +104,13 @@ def _cancelled_and_told(session: Session, bus: ZenohBus, start: RunStart) -> Ite
         with cancelled_unless_over(session, bus, lambda: [start.run]):
             yield
     except Interrupted as error:
+        until = time.monotonic() + LAST_ANSWER_S  # all of the answers together
+
+        def ask_soon(metric: str, parameters: dict[str, str]) -> Rows:
+            return _query(session, lambda: None, metric, parameters, until - time.monotonic())
+
         with suppress(NoAnswer):
-            if (
-                found := so_far(partial(_query, session, lambda: None, within_s=LAST_ANSWER_S), start, began)
-            ) is not None:
+            if (found := so_far(ask_soon, start, began)) is not None:
                 raise RunInterrupted(str(error), found) from None
         raise
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
@@ -17,6 +17,7 @@ from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cancel as cancelling
 from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.run import RunInterrupted
 from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.messages import Message, RunCancel, RunEnd
 from cogradar.shared.protocol.topics import Role
@@ -229,6 +230,43 @@ def test_a_run_whose_command_was_killed_goes_on_until_it_is_cancelled_by_name(en
     _until(lambda: _runs(endpoint)[name]["t"] > t + 50)
     assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
     _nobody_speaks_of(endpoint, name)
+
+
+@pytest.mark.zenoh
+def test_an_interrupt_waits_for_no_results_of_a_slow_metrics(router: str) -> None:
+    """All answers together have two seconds: each of them had, and a long run has many."""
+
+    def slow(metric: str, _: Mapping[str, str]) -> bytes:
+        time.sleep(0.0 if metric == "runs" else 0.8)
+        return json.dumps([{"status": "stopped", "t": 300}]).encode()
+
+    sessions = [open_session([router], 10.0, lambda: None) for _ in range(2)]
+    metrics, operator = (
+        ZenohBus(session, role, role) for session, role in zip(sessions, (Role.METRICS, Role.OPERATOR), strict=True)
+    )
+    over = threading.Event()
+
+    def serve() -> None:
+        while not over.is_set():
+            metrics.receive(0.05)
+
+    serving = threading.Thread(target=serve)
+    try:
+        metrics.serve_queries(slow)
+        serving.start()
+        began = time.monotonic()
+        with (
+            pytest.raises(Interrupted, match=r"^interrupted; r is cancelled$") as ended,
+            distributed._cancelled_and_told(sessions[1], operator, smoke_start(dwells=400)),
+        ):
+            raise Interrupted("interrupted")
+        assert not isinstance(ended.value, RunInterrupted)
+        assert time.monotonic() - began < distributed.LAST_ANSWER_S + 1.0
+    finally:
+        over.set()
+        serving.join()
+        for bus in (operator, metrics):
+            bus.close()
 
 
 @pytest.mark.zenoh
