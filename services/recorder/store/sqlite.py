@@ -25,6 +25,7 @@ from cogradar.shared.scenario.faults import printable
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
 ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
+LOG_BYTES = 16 << 20  # of the log (-wal), once no long question needs more: SQLite keeps it as long as it ever was
 MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 MiB
 STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks at how many a question took
 STEPS, STEPS_PER_BYTE = 200_000_000, 20  # that a question may take: some seconds, and longer for a long file
@@ -254,6 +255,7 @@ def make(db: sqlite3.Connection, path: str) -> None:
     """Make a new file a journal, in one transaction, and every commit durable. Raises sqlite3.Error, BadInput."""
     db.execute("PRAGMA journal_mode=WAL")
     db.execute("PRAGMA synchronous=FULL")
+    db.execute(f"PRAGMA journal_size_limit={LOG_BYTES}")
     db.execute("BEGIN IMMEDIATE")
     is_new = _version(db, path) == 0
     if is_new:

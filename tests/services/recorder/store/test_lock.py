@@ -20,6 +20,7 @@ from cogradar.services import process
 from cogradar.services.errors import BadInput, InUse
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store import sqlite
 from cogradar.services.recorder.store.followed import Followed
 from cogradar.services.recorder.store.lock import JournalLock, inode_in_use, is_written
 from cogradar.services.topology import Start
@@ -213,3 +214,21 @@ def test_other_commands_are_refused_and_the_first_run_goes_on(busy: Path) -> Non
         done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stdout) == (2, "")
         assert f"{busy}: in use by cogradar run (process " in done.stderr
+
+
+def test_the_log_of_a_file_is_cut_once_a_long_question_is_over(tmp_path: Path) -> None:
+    """While somebody reads, as a backup does, all that is written stays in the log; SQLite would keep it as long."""
+    file, log = tmp_path / "runs.db", tmp_path / "runs.db-wal"
+    with closing(sqlite3.connect(file, isolation_level=None)) as db, closing(sqlite3.connect(file)) as reader:
+        sqlite.make(db, str(file))
+        reader.execute("BEGIN")
+        reader.execute("SELECT * FROM run").fetchall()
+        write = "UPDATE leader SET name = ?"
+        db.execute("INSERT INTO leader VALUES (1, '', 0)")
+        for i in range(3):
+            db.execute(write, (str(i) * sqlite.LOG_BYTES,))
+        assert log.stat().st_size > 2 * sqlite.LOG_BYTES
+        reader.rollback()
+        for i in range(3):
+            db.execute(write, (str(i),))
+        assert log.stat().st_size <= sqlite.LOG_BYTES
