@@ -8,8 +8,9 @@ import { byId, fixed, make } from "./text.js";
 const EVERY_MS = 450;
 const MANY = 30; // targets, with which the library takes so long that the scope would wait for it
 const MANY_EVERY_MS = 1200;
-const NAMED = 12; // targets with their numbers at them
-const ABOVE_DB = 2.5; // their numbers
+const ABOVE_DB = 2.5; // the numbers of targets
+const NUMBER_PX = 5.5; // half the width of a digit, with what must be free beside it
+const NUMBER_DB = 10; // the height of a number
 const DEEP_DB = 45; // below the highest power nothing is of interest
 const MARGIN = { l: 56, r: 18, t: 12, b: 24 };
 
@@ -68,13 +69,14 @@ export class Pattern {
     node.querySelector(".message")?.remove();
     const top = 5 * Math.ceil(Math.max(...data.power_db) / 5); // an axis that does not jump
     const targets = data.beams.map((one) => ({ ...one, target: one[kind] })).filter((one) => one.target !== null);
-    const named = targets.filter((one) => targets.length <= NAMED || one.target === target);
+    const width = node.clientWidth - MARGIN.l - MARGIN.r;
+    const named = withNumbers(targets, target, width);
     const searched = data.search;
     const ink = (one) => (one.hit === false ? color("alarm") : colorOf(one.target));
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
       {
-        ...highest(data, node.clientWidth - MARGIN.l - MARGIN.r), mode: "lines", line: { color: color("ink"), width: 1.25 },
+        ...highest(data, width), mode: "lines", line: { color: color("ink"), width: 1.25 },
         fill: "tonexty", fillcolor: "rgba(128,150,170,0.18)", hovertemplate: "%{y:.1f} dB at %{x:.1f}°<extra></extra>",
       },
       {
@@ -108,6 +110,19 @@ export class Pattern {
     const strongest = targets.map((one) => `${kind} ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
     node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
   }
+}
+
+// Beams with a number: of each target one, and where numbers would cover each other the one of the target that is chosen,
+// or else of the strongest.
+export function withNumbers(beams, chosen, width) {
+  const rank = (one) => one.power_db + (one.target === chosen ? 1000 : 0);
+  const half = (one) => (180 * NUMBER_PX * String(one.target).length) / width;
+  const found = [];
+  for (const one of [...beams].sort((a, b) => rank(b) - rank(a))) {
+    const covers = (other) => Math.abs(other.angle_deg - one.angle_deg) < half(other) + half(one) && Math.abs(other.power_db - one.power_db) < NUMBER_DB;
+    if (!found.some((other) => other.target === one.target || covers(other))) found.push(one);
+  }
+  return found;
 }
 
 // The highest power in each column of pixels. Many beams have nulls narrower than that: drawn sample by sample, some are

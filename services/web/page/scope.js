@@ -8,6 +8,7 @@ import { commanded } from "./scope_orders.js";
 
 const TAU = 2 * Math.PI;
 const LOST_IN_WORDS = 6; // with more, the words would hide the picture
+const FEW_BEAMS = 12; // of a search, whose outlines are dark; of many they would hide the tracks
 const DASH = [3, 2.5]; // of what is tentative
 const LEADER_S = 60; // of flight: the line before a track
 const SIGMAS = 2.0; // of the ellipse of uncertainty: 86 % of a Gaussian belief
@@ -108,12 +109,13 @@ function search(frame, edges) {
   context.setLineDash([5, 4]);
   context.lineWidth = 1;
   context.strokeStyle = context.fillStyle = color("muted");
+  const ink = Math.max(0.2, Math.min(0.7, FEW_BEAMS / edges.length));
   for (const beam of edges) {
     context.beginPath();
     wedge(frame, ...beam.map(radians));
     context.globalAlpha = 0.08;
     context.fill();
-    context.globalAlpha = 0.7;
+    context.globalAlpha = ink;
     context.stroke();
   }
   context.globalAlpha = 1;

@@ -82,3 +82,24 @@ def test_the_timeline_shows_late_plans_and_stale_waveforms(unknown: str, show: O
       return rgb.reduce((sum, value, i) => sum + Math.abs(value - data[i]), 0);
     })) < 10"""
     until(page, marked)
+
+
+def test_numbers_at_the_beampattern_cover_no_others(unknown: str, show: Open) -> None:
+    """Of a hundred tracks none had a number, and of a few they lay on one another."""
+    page = show(f"{unknown}/?run=by-hand&dwell=4")
+    beams = [
+        {"target": target, "angle_deg": angle_deg, "power_db": power_db}
+        for target, angle_deg, power_db in (
+            (955, 48.6, 0.0),
+            (974, 50.8, -1.0),
+            (119, 9.0, 3.0),
+            (119, 30.0, 2.0),
+            (7, 51.0, -20.0),
+        )
+    ]
+    numbers = (
+        "([beams, chosen]) => import('/page/pattern.js')"
+        ".then(({ withNumbers }) => withNumbers(beams, chosen, 700).map((one) => one.target))"
+    )
+    assert page.evaluate(numbers, [beams, None]) == [119, 955, 7]
+    assert page.evaluate(numbers, [beams, 974]) == [974, 119, 7]
