@@ -66,7 +66,11 @@ def ask_expositions(session: zenoh.Session, timeout_s: float, most: int) -> Iter
     the first ones, and one more.
     """
     selector = EXPOSITION.format(role="*", name="*")
-    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+    try:
+        replies = session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s)
+    except zenoh.ZError:  # the session was closed: this process ends, while a page still asks
+        return
+    for reply in replies:
         if reply.ok is not None:
             role, name = str(reply.ok.key_expr).split("/")[-2:]
             payload = reply.ok.payload

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cogradar.shared.wire.queries import ask_expositions
 from cogradar.shared.wire.session import CONFIG_VARIABLE, BadConfig, check_config, free_port, open_session, run_router
 
 pytestmark = pytest.mark.zenoh
@@ -76,3 +77,10 @@ def test_a_router_without_certificates_says_that_it_is_open(caplog: pytest.LogCa
 def test_who_may_do_what_needs_certificates() -> None:
     with pytest.raises(BadConfig, match="rights are told by certificates, so it must be tls/HOST:PORT"):
         run_router("tcp/127.0.0.1:0", threading.Event(), access={"enabled": True})
+
+
+def test_of_a_session_that_is_closed_no_process_answers(router: str) -> None:
+    """As a page still asks while metrics ends: its log had a traceback."""
+    session = open_session([router], 10.0, lambda: None)
+    session.close()
+    assert list(ask_expositions(session, 1.0, 1000)) == []
