@@ -5,7 +5,8 @@ after the transaction that it acknowledges is committed, so that not even a powe
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
@@ -45,6 +46,7 @@ BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; a process that asked in vain asks again
 MOST_COUNTED = 200_000  # messages at the end of a run, some 30 ms; `cogradar store check` counts any number
 MAX_RUNS = 4096  # that go on at a time
+_NONE: Mapping[str, str] = MappingProxyType({})
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
@@ -68,8 +70,13 @@ class RecorderCore:
     It can raise NoRoom, and is of no use then: `cogradar.services.recorder.full_disk`.
     """
 
-    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
-        """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
+    def __init__(
+        self, journal: Journal, *, resume: bool = False, keep: Retention | None = None, aside: Mapping[str, str] = _NONE
+    ) -> None:
+        """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted.
+
+        aside : runs that are damaged, and what is said of each
+        """
         self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._spans: dict[str, KeptSpan] = {}  # of the same runs
@@ -80,6 +87,8 @@ class RecorderCore:
         journal.lead()
         for name, reason in set_aside(journal):
             log.error("%s is set aside: %s", name, reason)
+        for name, reason in aside.items():
+            self._set_aside(name, reason)
         if resume:
             for run in journal.unfinished():
                 self._resume(run)

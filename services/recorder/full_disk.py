@@ -43,6 +43,7 @@ class Recorder:
         self._ticks = self._looked = 0
         self._trouble = ""
         self._cancelled: set[str] = set()  # meanwhile
+        self._damaged: dict[str, str] = {}  # runs that are to be set aside when it begins, and why
         try:
             self._begin()
         except (NoRoom, Damaged) as error:
@@ -92,11 +93,26 @@ class Recorder:
         return core.handle(event)
 
     def _begin(self) -> RecorderCore:
-        self._core = RecorderCore(self._journal, resume=self._resume, keep=self._retention)
+        """Go on from what is in the journal, without damaged runs. In a file, damage spoils the transaction that meets
+        it. So this one is undone, and the run set aside in the next.
+        """
+        while True:
+            try:
+                self._core = RecorderCore(self._journal, resume=self._resume, keep=self._retention, aside=self._damaged)
+            except Damaged as error:
+                if error.run in {"", *self._damaged}:
+                    raise
+                self._damaged[error.run] = str(error)
+                self._journal.rollback()
+            else:
+                break
+        self._damaged.clear()
         self._resume = True  # from now on they are ours
         return self._core
 
     def _end(self, error: NoRoom | Damaged) -> None:
+        if isinstance(error, Damaged) and error.run:
+            self._damaged.setdefault(error.run, str(error))
         if self._ticks == 0:
             log.error("%s: all runs are held until it can be written", error)
         self._core, self._trouble = None, str(error)

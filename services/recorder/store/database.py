@@ -10,6 +10,7 @@ from cogradar.services.errors import BadInput, Deposed, MissingLibrary, NoRoom, 
 from cogradar.services.recorder.store.address import Address, is_server
 from cogradar.services.recorder.store.seal import CHECKSUM, LISTED, QUARANTINED, sealed, verify
 from cogradar.services.recorder.store.sqlite import SqliteConnection
+from cogradar.services.recorder.store.unreadable import Intact
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.meter import Durations
@@ -50,7 +51,9 @@ class Connection(Protocol):
         """Rows of a SELECT."""
 
     def part(self) -> AbstractContextManager[None]:
-        """Damage that is met within undoes this part of a transaction only. Elsewhere a server's writer has no room."""
+        """Damage that is met within undoes this part of a transaction only, on a server; elsewhere its writer has no
+        room. In a file such a transaction can only be undone as a whole: what is written after it raises the same.
+        """
 
     def check_place(self) -> None:
         """Raises NoRoom if the store is no longer where it was."""
@@ -61,8 +64,11 @@ class Connection(Protocol):
     def expire_after(self, seconds: float) -> None:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
 
-    def made_anew(self, table: str) -> str:
-        """Put the rows of a table that can be read in its place; what the old one is called, "": it cannot."""
+    def intact(self, table: str) -> Intact:
+        """What can be read of a table, where no transaction goes on."""
+
+    def made_anew(self, table: str, intact: Intact) -> str:
+        """Put these rows of a table in its place; what the old one is called from now on."""
 
     def faults(self) -> list[str]:
         """What is wrong with how the store is laid out, as far as it can tell."""
@@ -200,9 +206,16 @@ class Database:
         """Let another process write if this one is silent for so long, where its death may not be seen."""
         self._connection.expire_after(seconds)
 
-    def made_anew(self, table: str) -> str:
-        """Put the rows of a table that can be read in its place; what the old one is called, "": it cannot."""
-        return self._connection.made_anew(table)
+    def made_anew(self, table: str) -> tuple[str, str]:
+        """Put the rows of a table that can be read in its place. This begins a transaction, which takes the lead again.
+
+        Returns the name that the old table has from now on, and how much of it cannot be read. Raises Damaged, NoRoom,
+        Deposed.
+        """
+        self.rollback()
+        intact = self._connection.intact(table)
+        self.lead()
+        return self._connection.made_anew(table, intact), intact.lost
 
     def faults(self) -> list[str]:
         """What is wrong with how the store is laid out, as far as the kind of store can tell."""

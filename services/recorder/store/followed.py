@@ -1,9 +1,15 @@
-"""A store that another process writes: which one is there by now, and what keeps that process from writing it."""
+"""What has become of the files of a store: of one that this process writes, or follows while another one writes it."""
 
+import os
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 from cogradar.services.recorder.store.address import is_server
 from cogradar.services.recorder.store.lock import inode_in_use, is_written
+from cogradar.services.recorder.store.tables import MEMORY
+
+ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
 
 
 class Followed:
@@ -43,3 +49,35 @@ class Followed:
         elif not status.st_mode & 0o222:
             fault = "was made read-only"
         return f"{self._name} {fault}" if fault and is_written(self._name) else ""  # else it is a copy, or what is kept
+
+
+def has_room(path: str) -> bool:
+    """Whether the disk of a file has some room left, as far as the system says: it knows no quota."""
+    return path == MEMORY or shutil.disk_usage(Path(path).parent).free >= ROOM_BYTES
+
+
+Place = dict[str, os.stat_result]  # files of a journal as they were when it was opened
+
+
+def place_of(path: str) -> Place:
+    """The files that a writer of a journal has open: its own, the log with its index, the lock."""
+    found = Place()
+    for file in () if path == MEMORY else (path, f"{path}-wal", f"{path}-shm", f"{Path(path).resolve()}.lock"):
+        with suppress(OSError):
+            found[file] = Path(file).stat()
+    return found
+
+
+def displaced(path: str, place: Place) -> str:
+    """What has become of the files of a journal that is open to be written; "": nothing."""
+    for file, before in place.items():
+        try:
+            now = Path(file).stat()
+        except OSError as error:
+            is_gone = isinstance(error, FileNotFoundError)
+            return f"{file} was removed" if is_gone else f"{file}: {error.strerror}"
+        if not os.path.samestat(before, now):
+            return f"{file} was replaced"
+        if file == path and not (now.st_mode & 0o222 and os.access(path, os.W_OK)):
+            return f"{file} was made read-only"
+    return ""

@@ -5,8 +5,7 @@ session of a process that died, that is cut off, or that is silent for its lease
 is undone by then, so that no commit of its can come after one of its successor. The row of the leader is locked in each
 transaction besides, for servers behind something that shares sessions.
 
-A server is trusted as a machine is: a role that may change its tables
-may change more. What it holds is not trusted.
+A server is trusted as a machine is: a role that may change its tables may change more. What it holds is not trusted.
 """
 
 import os
@@ -25,9 +24,9 @@ from psycopg.types.string import StrDumper
 
 from cogradar.services.errors import BadInput, Damaged, Failure, InUse, NoRoom, NoStoreYet, StoreFailed, Unreachable
 from cogradar.services.recorder.store.address import FORM, Address
-from cogradar.services.recorder.store.seal import damage
+from cogradar.services.recorder.store.seal import damage, run_asked
 from cogradar.services.recorder.store.tables import KINDS, SCHEMA_VERSION, definitions, described, numbered
-from cogradar.services.recorder.store.unreadable import index_damage, made_anew
+from cogradar.services.recorder.store.unreadable import Intact, index_damage, intact_blocks, made_anew_on_server
 from cogradar.shared.scenario.faults import printable
 
 OLDEST = 14  # version of the server: the first one that ends silent sessions
@@ -48,7 +47,6 @@ _SESSION = (
 _AWAY = re.compile("08|57P|25P03|25006|55P03")
 _FULL = re.compile("53|58|XX")  # no room, an I/O error, a fault of the server: another time it may be able to
 _DAMAGED = re.compile("XX00[12]|58P01")  # a page, an index, a file of the server that is missing
-_OF_RUN = re.compile(r"\bWHERE run = \?")
 _Result = TypeVar("_Result")
 _Connection = psycopg.Connection[tuple[Any, ...]]
 
@@ -294,10 +292,8 @@ class PostgresqlConnection:
 
     def _select(self, query: str, parameters: Sequence[Any]) -> psycopg.Cursor[tuple[Any, ...]]:
         """Ask for rows. A page that cannot be read is damage of the run that is asked for."""
-        found = _OF_RUN.search(query)
-        run = "" if found is None else str(parameters[query.count("?", 0, found.start())])
         with self.part():
-            return self._run(lambda db: db.execute(numbered(query), parameters), run)
+            return self._run(lambda db: db.execute(numbered(query), parameters), run_asked(query, parameters))
 
     def read(self, query: str, parameters: Sequence[Any]) -> list[dict[str, Any]]:
         """Rows of a SELECT."""
@@ -305,9 +301,13 @@ class PostgresqlConnection:
         names = [column.name for column in cursor.description or ()]
         return [dict(zip(names, row, strict=True)) for row in cursor]
 
-    def made_anew(self, table: str) -> str:
+    def intact(self, table: str) -> Intact:
+        """What can be read of a table, where no transaction goes on."""
+        return intact_blocks(self, table)
+
+    def made_anew(self, table: str, intact: Intact) -> str:
         """Put the rows of a table that can be read in its place; what the old one is called from now on."""
-        return made_anew(self, table)
+        return made_anew_on_server(self, table, intact)
 
     def faults(self) -> list[str]:
         """The server looks after its pages, where it has checksums of them."""

@@ -4,6 +4,7 @@ It covers the row's key, so that a row which is found in the place of another on
 a file and on a server, and a copy keeps it. It protects against failing disks and memory, not against people.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
@@ -18,6 +19,8 @@ from cogradar.shared.scoring.columns import PICTURE, SCORE
 CHECKSUM, DOCUMENT = "checksum", "document"
 QUARANTINED = "quarantined"  # status of a run that is set aside
 _WHY = "Bytes of the store were changed, as by a failing disk"
+_OF_RUN = re.compile(r"\bWHERE run = \?")
+_NEW = re.compile("INSERT INTO (message|snapshot) VALUES")
 _APART = {CHECKSUM, DOCUMENT}  # a scenario is long, and has a checksum of its own in the row of its run
 _KINDS = {one.name: {column.name: column.kind for column in columns} for one, columns in described()}
 SEALED = {
@@ -81,6 +84,14 @@ def damaged(store: str, table: str, row: Mapping[str, Any], what: str = "its che
     run = str(row.get("run", ""))
     where = ", ".join(part for part in (f"table {table}", _WHERE.get(table, "").format(**row)) if part)
     return damage(store, f"run {run!r}, {where}: {what}" if run else f"{where}: {what}", run)
+
+
+def run_asked(query: str, parameters: Sequence[Any]) -> str:
+    """The run that a statement is about; "": all, or none."""
+    if _NEW.match(query):
+        return str(parameters[0])
+    found = _OF_RUN.search(query)
+    return "" if found is None else str(parameters[query.count("?", 0, found.start())])
 
 
 def damage(store: str, what: str, run: str = "") -> Damaged:

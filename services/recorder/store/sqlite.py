@@ -4,27 +4,26 @@ A file may come from anywhere. SQLite runs what a schema holds (triggers, views,
 so a file whose schema is not word for word ours is refused before it is asked anything.
 """
 
-import os
-import shutil
 import sqlite3
 import sys
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from difflib import get_close_matches
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.errors import BadInput, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
+from cogradar.services.errors import BadInput, Damaged, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
+from cogradar.services.recorder.store.followed import Place, displaced, has_room, place_of
 from cogradar.services.recorder.store.lock import JournalLock
-from cogradar.services.recorder.store.seal import beyond_cure, damage
+from cogradar.services.recorder.store.seal import beyond_cure, damage, run_asked
 from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, statements
+from cogradar.services.recorder.store.unreadable import KEPT, Intact, intact_rows, made_anew
 from cogradar.shared.scenario.faults import printable
 
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
-ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
 LOG_BYTES = 16 << 20  # of the log (-wal), once no long question needs more: SQLite keeps it as long as it ever was
 MAX_VALUE = 64 << 20  # bytes of one value of a file; a message has at most 4 MiB
 STEPS_BETWEEN = 1_000_000  # of SQLite's machine, some 10 ms, between two looks at how many a question took
@@ -51,7 +50,7 @@ class SqliteConnection:
 
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
-        self.name = path
+        self.name, self._read_only = path, read_only
         # First of all: SQLite makes a file that is not there, in the place of one that its writer misses.
         try:
             self._lock = None if read_only or path == MEMORY else JournalLock(path, owner)
@@ -70,6 +69,7 @@ class SqliteConnection:
             weakref.finalize(self, self.db.close)
         self._limit = Limit(self.db, path)
         self._place = Place()
+        self._spoiled: Damaged | None = None  # what the transaction has met
         try:
             if self._lock is not None and is_new:
                 self._lock.sign(path, owner)
@@ -115,9 +115,14 @@ class SqliteConnection:
         if not has_room(self.name):
             raise NoRoom(f"{self.name}: the disk is full")
 
-    def made_anew(self, _table: str) -> str:
-        """A file is as a whole: what is in other tables of it may be damaged, too."""
-        return ""
+    def intact(self, table: str) -> Intact:
+        """What can be read of a table, where no transaction goes on."""
+        return intact_rows(self, table)
+
+    def made_anew(self, table: str, intact: Intact) -> str:
+        """Put the rows of a table that can be read in its place; what the old one is called from now on."""
+        (create,) = (text for text in statements() if text.startswith(f"CREATE TABLE {table} "))
+        return made_anew(self, table, create, "rowid = {0}", intact)
 
     def faults(self) -> list[str]:
         """What SQLite finds wrong with its pages."""
@@ -130,31 +135,39 @@ class SqliteConnection:
 
     def execute(self, statement: str, parameters: Sequence[Any]) -> int:
         """Execute a statement; the number of rows that it changed."""
+        if statement == "ROLLBACK":
+            self._spoiled = None
+        run = run_asked(statement, parameters)
+        return self._write(lambda: self.db.execute(statement, parameters), run).rowcount
+
+    def _write(self, ask: Callable[[], sqlite3.Cursor], run: str = "") -> sqlite3.Cursor:
+        """Let SQLite change something. Some faults undo the whole transaction: a reason to begin again. After damage
+        SQLite writes nothing more before a rollback, and would say no more than that the file is malformed.
+        """
+        if self._spoiled is not None:
+            raise self._spoiled
         self._limit.begin()
         is_begun = self.db.in_transaction
         try:
-            return self.db.execute(statement, parameters).rowcount
+            return ask()
         except sqlite3.Error as error:
-            raise self._failure(error, is_begun=is_begun) from None
+            found = self._met(failure(self.name, error, run))
+            raise NoRoom(str(found)) if is_begun and not self.db.in_transaction else found from None
 
-    def _failure(self, error: sqlite3.Error, *, is_begun: bool) -> StoreFailed:
-        """Of a change. Some faults undo the whole transaction: damage, too, is then a reason to begin again."""
-        found = failure(self.name, error)
-        return NoRoom(str(found)) if is_begun and not self.db.in_transaction else found
+    def _met(self, found: StoreFailed) -> StoreFailed:
+        """What was met; a transaction that has met damage is spoiled by it."""
+        if isinstance(found, Damaged) and self.db.in_transaction and not self._read_only:
+            self._spoiled = found
+        return found
 
     @contextmanager
     def part(self) -> Iterator[None]:
-        """Damage undoes the statement that meets it, and nothing else; if more was undone, it is no damage here."""
+        """Damage that SQLite meets spoils the whole transaction; a checksum that does not fit spoils nothing."""
         yield
 
     def execute_many(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement for each of these rows."""
-        self._limit.begin()
-        is_begun = self.db.in_transaction
-        try:
-            self.db.executemany(statement, rows)
-        except sqlite3.Error as error:
-            raise self._failure(error, is_begun=is_begun) from None
+        self._write(lambda: self.db.executemany(statement, rows))
 
     def rows(self, query: str, parameters: Sequence[Any]) -> list[Any]:
         """Rows of a SELECT, which can be indexed."""
@@ -163,12 +176,12 @@ class SqliteConnection:
             return self.db.execute(query, parameters).fetchall()
         except sqlite3.Error as error:
             if not str(error).startswith(_NO_TEXT):
-                raise failure(self.name, error) from None
+                raise self._met(failure(self.name, error, run_asked(query, parameters))) from None
         self.db.text_factory = partial(str, encoding="utf-8", errors="replace")  # then its checksum does not fit
         try:
             return self.db.execute(query, parameters).fetchall()
         except sqlite3.Error as error:
-            raise failure(self.name, error) from None
+            raise self._met(failure(self.name, error, run_asked(query, parameters))) from None
         finally:
             self.db.text_factory = str
 
@@ -273,44 +286,12 @@ def make(db: sqlite3.Connection, path: str) -> None:
             db.execute("ROLLBACK")
 
 
-def has_room(path: str) -> bool:
-    """Whether the disk of a file has some room left, as far as the system says: it knows no quota."""
-    return path == MEMORY or shutil.disk_usage(Path(path).parent).free >= ROOM_BYTES
-
-
-Place = dict[str, os.stat_result]  # files of a journal as they were when it was opened
-
-
-def place_of(path: str) -> Place:
-    """The files that a writer of a journal has open: its own, the log with its index, the lock."""
-    found = Place()
-    for file in () if path == MEMORY else (path, f"{path}-wal", f"{path}-shm", f"{Path(path).resolve()}.lock"):
-        with suppress(OSError):
-            found[file] = Path(file).stat()
-    return found
-
-
-def displaced(path: str, place: Place) -> str:
-    """What has become of the files of a journal that is open to be written; "": nothing."""
-    for file, before in place.items():
-        try:
-            now = Path(file).stat()
-        except OSError as error:
-            is_gone = isinstance(error, FileNotFoundError)
-            return f"{file} was removed" if is_gone else f"{file}: {error.strerror}"
-        if not os.path.samestat(before, now):
-            return f"{file} was replaced"
-        if file == path and not (now.st_mode & 0o222 and os.access(path, os.W_OK)):
-            return f"{file} was made read-only"
-    return ""
-
-
-def failure(path: str, error: Exception) -> StoreFailed:
-    """What SQLite says of a file in use."""
+def failure(path: str, error: Exception, run: str = "") -> StoreFailed:
+    """What SQLite says of a file in use; `run`: the one that was asked about."""
     if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
         return damage(path, "a question took more steps than so many bytes can need: it is damaged")
     if getattr(error, "sqlite_errorname", "").startswith(_DAMAGED):
-        return damage(path, str(error))
+        return damage(path, f"run {run!r}: {error}" if run else str(error), run)
     return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
 
 
@@ -359,7 +340,14 @@ def _foreign(db: sqlite3.Connection) -> tuple[str, str] | None:
 
 
 def _schema(db: sqlite3.Connection) -> frozenset[tuple[str, str, str, str | None]]:
-    return frozenset(db.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 1000"))
+    """What a file has. A table that was made anew stays beside the new one, and must be as it was made."""
+    found = set[tuple[str, str, str, str | None]]()
+    for kind, name, table, sql in db.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 1000"):
+        if (kept := KEPT.fullmatch(str(table))) is None:
+            found.add((kind, name, table, sql))
+        else:
+            found.add((kind, name.replace(table, kept[1]), kept[1], sql and sql.replace(f'"{table}"', kept[1], 1)))
+    return frozenset(found)
 
 
 @cache

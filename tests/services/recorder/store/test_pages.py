@@ -1,5 +1,6 @@
 """Pages that a server cannot read any more: the run at hand is set aside and named, all others go on."""
 
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -18,6 +19,7 @@ from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal, Retention
 from cogradar.services.recorder.store.check import check
 from cogradar.services.recorder.store.tables import SCHEMA_VERSION
+from cogradar.services.recorder.store.unreadable import most_rows
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Command, Message, RunEnd
 from cogradar.shared.protocol.orders import PowerLimit
@@ -231,6 +233,43 @@ def test_a_page_of_the_table_of_runs_that_is_met_while_they_go_on_sets_the_runs_
         assert _status(journal) == dict.fromkeys(good, "running") | dict.fromkeys(bad, "quarantined") | {
             good[0]: "complete"
         }
+
+
+def test_a_run_without_a_message_is_named_by_what_else_there_is_of_it(
+    server: Server, sent: list[Message], caplog: pytest.LogCaptureFixture
+) -> None:
+    """As one of a campaign, of which there are scores. Of one that has only begun nothing else is there."""
+    url, *_ = _many(server, sent)
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        for run in ("kept", "bare"):
+            core.handle(sent[0].model_copy(update={"run": run}))
+        journal.set_snapshot("kept", 1, 5, b"what a track was")
+        journal.commit()
+        rows = journal.rows("SELECT run, (ctid::text::point)[0] FROM run")
+    pages = {page for run, page in rows if run in {"kept", "bare"}}
+    bad = {run for run, page in rows if page in pages} - {"bare"}
+    server.spoil(url, "run", *bad, "bare")
+    with closing(Journal(url, owner="recorder")) as journal:
+        core = Recorder(journal, resume=True)
+        assert core.trouble == ""
+        assert {run for run, status in _status(journal).items() if status == "quarantined"} == bad
+        core.handle(sent[0].model_copy(update={"run": "bare"}))
+        assert _status(journal)["bare"] == "running"
+    lost = r"[12] of \d+ pages of 8192 bytes of table run cannot be read, and stay in table run_unreadable_"
+    assert re.search(lost, caplog.text)
+    assert "A run that has only begun may be on them, too: begin it again" in caplog.text
+
+
+def test_all_rows_of_a_page_are_looked_for_whatever_its_size(postgresql: Server) -> None:
+    """A server says how large its blocks are. A row takes 28 bytes of one at least."""
+    with psycopg.connect(postgresql.url().partition("&schema")[0]) as db:
+        db.execute("CREATE TEMP TABLE least ()")
+        db.execute("INSERT INTO least SELECT FROM generate_series(1, 1000)")
+        ((block_bytes,),) = db.execute("SELECT current_setting('block_size')::int").fetchall()
+        ((most,),) = db.execute("SELECT max((ctid::text::point)[1])::int FROM least").fetchall()
+    assert most <= most_rows(block_bytes) <= most + 65
+    assert most_rows(32768) >= 1000
 
 
 def test_a_row_that_cannot_be_read_to_its_end_is_set_aside_with_the_page(server: Server, sent: list[Message]) -> None:
