@@ -45,6 +45,7 @@ class Recorder:
         self._cancelled: set[str] = set()  # meanwhile
         self._damaged: dict[str, str] = {}  # runs that are to be set aside when it begins, and why
         try:
+            journal.expire_after(LEASE_S)  # from the first moment: one that freezes while it begins has it, too
             self._begin()
         except (NoRoom, Damaged) as error:
             self._end(error)

@@ -70,11 +70,13 @@ class SqliteConnection:
         self._limit = Limit(self.db, path)
         self._place = Place()
         self._spoiled: Damaged | None = None  # what the transaction has met
+        self._has_old_log = False  # of a former writer
         try:
             if self._lock is not None and is_new:
                 self._lock.sign(path, owner)
             if not read_only:
                 make(self.db, path)
+                self._renew_log()
         except (Failure, sqlite3.Error) as error:
             if self.db.in_transaction:
                 self.db.execute("ROLLBACK")
@@ -82,6 +84,20 @@ class SqliteConnection:
             raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
         self.db.row_factory = sqlite3.Row
         self._place = {} if read_only else place_of(path)
+
+    def _renew_log(self) -> None:
+        """Put the log of a former writer into the file, and begin it anew. Raises sqlite3.Error.
+
+        If a sync of that writer has failed, the system may hold what no disk has, and calls it written from then on.
+        Behind such a gap in the log nothing would outlive a power cut. The file is written and synced for itself.
+        """
+        try:
+            ((is_busy, *_),) = self.db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        except sqlite3.Error as error:
+            if not _is_for_want_of_room(error):
+                raise
+            is_busy = True
+        self._has_old_log = bool(is_busy)
 
     def close(self) -> None:
         """Close it: the write-ahead log goes into the file, which is then whole by itself."""
@@ -114,6 +130,8 @@ class SqliteConnection:
         self.check_place()
         if not has_room(self.name):
             raise NoRoom(f"{self.name}: the disk is full")
+        if self._has_old_log:
+            self._renew_log()
 
     def intact(self, table: str) -> Intact:
         """What can be read of a table, where no transaction goes on."""

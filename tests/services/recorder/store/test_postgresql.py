@@ -189,6 +189,19 @@ def test_a_frozen_process_loses_the_store_after_its_lease_and_ends_when_it_wakes
     recorder.close()
 
 
+def test_a_recorder_that_freezes_while_it_begins_loses_the_store_too(
+    postgresql: Server, opened: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one that is suspended before its first tick: it had the lock for as long as its session lived."""
+    monkeypatch.setattr("cogradar.services.recorder.full_disk.LEASE_S", 1.0)
+    monkeypatch.setattr("cogradar.services.recorder.store.postgresql.TAKE_WITHIN_S", 5.0)
+    url = postgresql.url()
+    frozen = Recorder(opened.enter_context(closing(Journal(url, owner="recorder-7"))))
+    successor = Recorder(opened.enter_context(closing(Journal(url, owner="recorder-8"))))
+    assert (frozen.trouble, successor.trouble) == ("", "")
+    assert frozen.epoch < successor.epoch
+
+
 def test_a_run_has_the_same_digest_and_scores_bit_for_bit(postgresql: Server) -> None:
     url, alone = postgresql.url(), in_process.play(START)
     with closing(Store(Journal(url))) as store:
