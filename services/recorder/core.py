@@ -78,6 +78,7 @@ class RecorderCore:
         aside : runs that are damaged, and what is said of each
         """
         self._journal, self._retention = journal, keep or Retention()
+        self.planners: Sequence[str] | None = None  # that are there, as far as this process is told
         self._runs: dict[str, RecordedRun] = {}
         self._spans: dict[str, KeptSpan] = {}  # of the same runs
         self._pending = Pending()
@@ -383,6 +384,9 @@ class RecorderCore:
         going_on = {name for name, run in self._runs.items() if run.has_news and not run.pacing.has_deadlines}
         for name, run in list(self._runs.items()):
             run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
+            if self.planners is not None and run.hinder_overdue(self.planners):
+                log.warning("%s: %s", name, run.hindrances)
+                self._journal.hinder(name, run.hindrances)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()

@@ -16,7 +16,7 @@ from cogradar.services.errors import Damaged, NoRoom
 from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.recorded_run import RecordedRun
-from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunCancel, RunStart
 from cogradar.shared.wire.meter import Measures
 
@@ -42,6 +42,7 @@ class Recorder:
         self._core: RecorderCore | None = None
         self._ticks = self._looked = 0
         self._trouble = ""
+        self._planners: Sequence[str] | None = None
         self._cancelled: set[str] = set()  # meanwhile
         self._damaged: dict[str, str] = {}  # runs that are to be set aside when it begins, and why
         try:
@@ -62,6 +63,10 @@ class Recorder:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers. Without room: that runs are held, until there is some."""
+        if isinstance(event, Membership):
+            self._planners = event.names
+        if self._core is not None:
+            self._core.planners = self._planners
         try:
             return self._wait(event) if self._core is None else self._go_on(self._core, event)
         except (NoRoom, Damaged) as error:

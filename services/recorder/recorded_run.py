@@ -28,6 +28,7 @@ from cogradar.shared.protocol.messages import (
 )
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.protocol.slots import may_plan
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.wire.runner import TICK_S
 
@@ -41,6 +42,7 @@ OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 ASK_TICKS = 3  # in real time: from a request for a scan to the next
 MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
+NAMED = 5  # planners that are waited for, and tracks
 MAX_REASON = 500  # characters of it, all together
 HINDERED_S = 10.0  # after it was said last it is over: the longest time between two checkpoints is 4 s
 _HINDERED_TICKS = round(HINDERED_S / TICK_S)
@@ -78,7 +80,7 @@ class RecordedRun:
         self.known_k = -1  # ... and its dwell
         self._plans: dict[int, Plan] = {}  # newest of each track that is there
         self.end: RunEnd | None = None
-        self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why
+        self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why; "": what is overdue
         self._hindered_at: dict[str, int] = {}  # when they said so last
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
@@ -123,8 +125,20 @@ class RecordedRun:
         self._hindered[process], self._hindered_at[process] = reason, self._ticks
         return is_news
 
+    def hinder_overdue(self, planners: Sequence[str]) -> bool:
+        """Note which planners could bring the plans that are overdue, as far as none says so of another; whether that
+        is news.
+        """
+        if not self._overdue:
+            return False
+        able = [name for name in planners if any(may_plan(name, track) for track in self._overdue)]
+        tracks = _listed([str(track + 1) for track in self._overdue])
+        return self.hinder("", f"no plans of track {tracks}; planners that are there: {_listed(able) or 'none'}")
+
     def forgive(self) -> bool:
         """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""
+        if "" in self._hindered and self._inactive >= _OVERDUE_TICKS and not self.pacing.has_deadlines:
+            self._hindered_at[""] = self._ticks  # it still waits
         able = [process for process, at in self._hindered_at.items() if self._ticks - at > _HINDERED_TICKS]
         for process in able:
             del self._hindered[process], self._hindered_at[process]
@@ -134,8 +148,8 @@ class RecordedRun:
     def hindrances(self) -> str:
         """What processes cannot do their part for."""
         # Several planners say the same of late ones.
-        said = dict.fromkeys(self._hindered[process] for process in sorted(self._hindered))
-        return "; ".join(said)[:MAX_REASON]
+        said = dict.fromkeys(self._hindered[process] for process in sorted(self._hindered) if process)
+        return ("; ".join(said) or self._hindered.get("", ""))[:MAX_REASON]
 
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""
@@ -298,3 +312,9 @@ class RecordedRun:
         has_truth = dwell.has_truth or not self._has_truth
         is_all_planned = len(dwell.plans) >= len(dwell.tracks) and dwell.tracks <= dwell.plans
         return dwell.t is not None and has_truth and dwell.has_waveform and is_all_planned
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first ones, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more

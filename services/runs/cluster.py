@@ -48,11 +48,6 @@ STALL_S = 60.0  # without a new dwell: the loop hangs
 SILENT_S = 600.0  # without an answer about a run that went on: it may well do so, metrics alone is away or busy
 EMULATOR = f"the {Role.EMULATOR}"
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
-NAMED = 5  # planners, in the message of a run that stands still
-
-
-class Stalled(RunFailed):
-    """A run that nothing brings on."""
 
 
 def play(
@@ -197,13 +192,8 @@ def _play(
     notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
-    try:
-        asks, starts = partial(_query, session, check), partial(bus.publish, start)
-        return _watch(asks, start, began, check, report, starts, notify, front_end)
-    except Stalled as error:
-        names = bus.alive().names.get(Role.PLANNER, [])
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        raise RunFailed(f"{error}; planners that are there: {', '.join(names[:NAMED]) or 'none'}{more}") from None
+    asks, starts = partial(_query, session, check), partial(bus.publish, start)
+    return _watch(asks, start, began, check, report, starts, notify, front_end)
 
 
 def wait_until_alive(
@@ -282,7 +272,7 @@ def _watch(
         quiet_s = time.monotonic() - changed
         if quiet_s > (SILENT_S if now is None and latest is not None else STALL_S):
             waiting = latest.waiting_for if now is not None and latest is not None else METRICS
-            raise Stalled(f"no progress for {quiet_s:.0f} s, waiting for {waiting}")
+            raise RunFailed(f"no progress for {quiet_s:.0f} s, waiting for {waiting}")
         told.silence(quiet_s if now is None and latest is not None else 0.0)
         until = time.monotonic() + max(POLL_S, min(ASKING_SHARE * took, LONGEST_WAIT_S))
         while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once

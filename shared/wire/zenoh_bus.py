@@ -45,6 +45,7 @@ QUALITY: Final[dict[str, Any]] = {  # of every sample
     "priority": zenoh.Priority.DATA,
     "express": True,
 }
+TOLD_OF_PLANNERS = (Role.PLANNER, Role.RECORDER)  # which of them are there
 _SAMPLES = {topic.message: zenoh.Encoding(topic.encoding) for topic in TOPICS}
 
 
@@ -102,14 +103,15 @@ class ZenohBus:
         token = partial(ALIVE.format, protocol=PROTOCOL, build=self.build, role=role)
         self._planners = LiveNames()
         self._routers = frozenset(map(str, session.info.routers_zid()))
-        if role is Role.PLANNER:
+        if role in TOLD_OF_PLANNERS:
             # Whole, and before any message: a planner that knew only some of the others would take tracks that are
             # theirs. Asked first: just after the subscription, which tells of them one by one, the answer may be that
             # there is none.
-            self._planners = LiveNames({name, *names_alive(session, self.build, role)})
+            own = {name} if role is Role.PLANNER else set()
+            self._planners = LiveNames(own.union(names_alive(session, self.build, Role.PLANNER)))
             self._queue.put(self._membership())
-            tokens = session.liveliness().declare_subscriber(token(name="*"), self._on_token, history=True)
-            self._declared.append(tokens)
+            shown = ALIVE.format(protocol=PROTOCOL, build=self.build, role=Role.PLANNER, name="*")
+            self._declared.append(session.liveliness().declare_subscriber(shown, self._on_token, history=True))
         address = name if role is Role.PLANNER else role
         self._declared += [
             session.declare_subscriber(
