@@ -9,12 +9,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from filelock import lock_descriptor
 
 from cogradar.services.errors import RunFailed, check_stop
 from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling, interpret
-from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import Checkpoint, RunStart
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.files import SCENARIO_DIR, parse
 from cogradar.shared.scenario.radar_config import Strategy
@@ -57,6 +59,20 @@ def compile_all(report: Callable[[str], None], stop: threading.Event | None = No
             _mark()
     except OSError as error:
         raise RunFailed(printable(f"{error.filename or CACHE_DIR}: {error.strerror or error}")) from None
+
+
+def load_planner() -> None:
+    """Import and load what a planner's first run needs, by joining one that is thrown away: half a second of processor.
+
+    Others leave tracks to a planner as soon as they see it, and wait for it then.
+    """
+    from cogradar.services.planner.core import PlannerCore
+
+    document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
+    start = RunStart.of(parse(document, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2)
+    run: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": 2, "rate_hz": 0.0}
+    run |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
+    list(PlannerCore("loads").handle(Checkpoint(**run, k=1, t=1)))
 
 
 def _compile(report: Callable[[str], None], stop: threading.Event | None) -> None:

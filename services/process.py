@@ -95,14 +95,20 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
     check = partial(check_stop, stop)
     with ExitStack() as closing, suppress(Interrupted):
         if service.kernels:
-            from cogradar.services.kernels import compile_all
+            from cogradar.services.kernels import compile_all, load_planner
 
             compile_all(log.info, stop)
+            if service.role is Role.PLANNER:
+                load_planner()
         if service.yields and hasattr(os, "nice"):
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
         core = _made(service.core, replace(start, check=check))
         if isinstance(core, Closing):
             closing.callback(core.close)
+        gc.collect()
+        gc.set_threshold(NEW_OBJECTS)
+        gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched,
+        # ... nor now, when others see this process and leave a part to it
         session = open_session(connect.split(","), None, check=check)
         closing.callback(session.close)
         epoch = core.epoch if isinstance(core, Leading) else 0
@@ -118,10 +124,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
 
             core.gather = partial(gather, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
+        gc.freeze()  # what was loaded since, too
         log.info("connected to %s", connect)
-        gc.collect()
-        gc.set_threshold(NEW_OBJECTS)
-        gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         beat = _both(Heartbeat(bus.is_connected, core), validity.tell)
         serve(core, bus, stop, bus.meter, _beat(beat, service.role, claim))
         if isinstance(core, Troubled) and core.trouble:

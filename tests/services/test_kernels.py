@@ -214,3 +214,37 @@ def test_a_process_marks_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: p
     os.close(kernels._locks.pop(mine))
     assert not kernels._is_in_use(mine)
     assert {path.name for path in mine.glob("in-use*")} == {"in-use.0", "in-use.1"}
+
+
+JOINS = """
+import sys, time
+from cogradar.services import kernels
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import Checkpoint, RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+if sys.argv[1] == "loads":
+    kernels.load_planner()
+start = RunStart.of(load("paper"), Strategy.POWER_AWARE, 1, 20)
+told = {"run": start.run, "strategy": start.strategy, "dwells": 20, "rate_hz": 0.0, "seed": radar_seed(1)}
+checkpoint = Checkpoint(**told, radar=start.scenario["radar"], k=5, t=5)
+before, began = set(sys.modules), time.process_time()
+list(PlannerCore("p").handle(checkpoint))
+print(len(set(sys.modules) - before), time.process_time() - began)
+"""
+
+
+def test_a_planner_has_loaded_what_it_needs_before_it_joins_a_run() -> None:
+    """Others leave tracks to it as soon as they see it, and it loaded for half a second of processor then."""
+    kernels.compile_all(lambda _: None)
+
+    def join(*how: str) -> tuple[int, float]:
+        done = subprocess.run([sys.executable, "-c", JOINS, *how], capture_output=True, text=True, check=True)
+        n_module, cpu_s = done.stdout.split()
+        return int(n_module), float(cpu_s)
+
+    n_before, before_s = join("not")
+    n_module, cpu_s = join("loads")
+    assert n_before > n_module == 0
+    assert cpu_s < 0.6 * before_s
