@@ -401,10 +401,10 @@ class Result:
             raise BadInput(f"{self.run}: there is no truth to compare with")
 
     def _stored_of(self, *messages: type[Any]) -> list[Any]:
-        """All stored messages of these kinds, by dwell. Raises BadInput if there is none."""
+        """All stored messages of these kinds, by dwell. Raises BadInput if none are kept; a run may have no tracks."""
         topics = [BY_MESSAGE[message].name for message in messages]
         found = [decode(payload) for _, payloads in self._stored.messages(*topics) for payload in payloads]
-        if not found and len(self.t):
+        if not found and len(self.t) and next(self._stored.messages("scan"), None) is None:
             raise BadInput(f"{self.run}: no {' or '.join(topics)} is stored, as in the store of a campaign")
         return found
 

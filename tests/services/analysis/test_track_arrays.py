@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cogradar
 from cogradar.services.analysis.arrays.result import Result
 from cogradar.services.analysis.drawing.figures import draw_all
 from cogradar.services.analysis.export.tables import scores
@@ -153,3 +154,14 @@ def test_a_run_in_which_nobody_was_there_is_told_and_drawn(tmp_path: Path) -> No
         assert len(draw_all(store, experiment, tmp_path)) >= 6
     assert "completeness -, spuriousness -" in caption
     assert "no truth" not in caption
+
+
+def test_a_run_without_any_track_has_tables_without_rows() -> None:
+    """Nothing is planned in it, though all of it is stored."""
+    seen = {"radar.fidelity": "best-range", "radar.tracks": "unknown", "world.echo.amplitude_db": -100.0}
+    result = cogradar.run("smoke", set=seen, dwells=1)
+    assert (result.detections().size, result.tracks().size, result.requests().size) == (0, 0, 0)
+    assert (result.truth().size, result.waveforms().size) == (2, 1)
+    assert result.by_track.numbers.size == 0
+    assert np.isnan(result.covariance).all()
+    assert result.covariance.shape == (1, 2, 4, 4)
