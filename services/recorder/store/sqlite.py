@@ -51,6 +51,8 @@ class SqliteConnection:
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.name, self._read_only = path, read_only
+        if path != MEMORY and (file := Path(path)).exists() and not (file.is_file() or file.is_dir()):
+            raise BadInput(f"{path}: not a regular file, must be a store of runs or the name of a new one")
         # First of all: SQLite makes a file that is not there, in the place of one that its writer misses.
         try:
             self._lock = None if read_only or path == MEMORY else JournalLock(path, owner)

@@ -49,6 +49,8 @@ def reports(file: Path, place: Place, tally: Tally) -> Iterator[Report]:
 
 
 def _of_file(file: Path, place: Place, tally: Tally) -> Iterator[Report]:
+    if file.exists() and not file.is_file():  # it is read several times, and must end
+        raise BadInput(f"{file}: not a regular file: save into one what it gives, and name that")
     try:
         with unpacked.opened(file) as stream:
             head = stream.read(text.HEAD)

@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import lzma
+import os
 import re
 import sys
 import zipfile
@@ -316,6 +317,17 @@ def test_an_empty_sky_says_why(content: str | bytes, words: str, tmp_path: Path)
         read(tmp_path, content)
     assert words in str(caught.value)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no named pipes")
+@pytest.mark.parametrize("kind", ["pipe", "/dev/zero"])
+def test_what_is_no_regular_file_is_not_read(kind: str, tmp_path: Path) -> None:
+    """A pipe can be read once, and a device has no end."""
+    file = tmp_path / kind  # of /dev/zero that alone
+    if not file.exists():
+        os.mkfifo(file)
+    with pytest.raises(BadInput, match="not a regular file: save into one what it gives"):
+        recorded(file, PLACE, RANGE_KM)
 
 
 def test_a_radar_at_the_date_line_sees_both_sides(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A store that somebody else has made or changed runs nothing of theirs, and is left as it is."""
 
 import hashlib
+import os
 import shutil
 import sqlite3
 import sys
@@ -70,6 +71,19 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
         db.executescript(statements)
         db.commit()
     return path, said
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no named pipes")
+@pytest.mark.parametrize("is_read_only", [False, True])
+@pytest.mark.parametrize("kind", ["pipe", "/dev/full"])
+def test_what_is_no_regular_file_is_not_opened(kind: str, is_read_only: bool, tmp_path: Path) -> None:
+    """Whoever opens a pipe waits for one who writes into it."""
+    path = kind if kind.startswith("/") else str(tmp_path / "pipe.db")
+    if not kind.startswith("/"):
+        os.mkfifo(path)
+    with pytest.raises(BadInput, match="not a regular file, must be a store of runs or the name of a new one"):
+        Journal(path, read_only=is_read_only)
+    assert not Path(f"{path}.lock").exists()
 
 
 @pytest.mark.parametrize("is_read_only", [True, False])
