@@ -250,8 +250,10 @@ def _name_after(path: Path) -> str:
 
 def _no_such(folder: Path, wanted: str) -> str:
     """What is wrong with a name of a scenario or a file that there is not, and what was probably meant."""
-    if Path(folder, wanted).is_dir():
+    if (path := Path(folder, wanted)).is_dir():
         return "a directory, must be a .toml file or the name of a built-in scenario"
+    if path.is_symlink():
+        return "a symbolic link that leads to no file"
     files = [str(Path(wanted).with_name(file.name)) for file in Path(folder, wanted).parent.glob("*.toml")]
     close = get_close_matches(wanted, [*built_in(), *files], n=1)
     guess = f" (did you mean {close[0]}?)" if close else ""

@@ -119,6 +119,7 @@ def _settle_names(document: Document) -> list[str]:
 
 
 _ARRAY = ("world", "array")
+_TAKEN = {("world", section) for section, _ in ASSUMED}
 _RECORDING = ("world", "disturbance", "recording")
 
 
@@ -222,6 +223,8 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
         found += cross_faults(tables, found)
     elif kind is RadarConfig:
         found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
+    if not isinstance(document.tables.get("radar", {}), dict):  # what the world would take over from it is not missing
+        found = [fault for fault in found if tuple(fault.loc) not in _TAKEN]
     found = list(dict.fromkeys(_as_written(fault, document) for fault in found))
     n = len(lines) + len(found)
     lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[:MAX_EXPLAINED]]

@@ -100,7 +100,7 @@ def read(file: Path, sha: str, layout: Layout) -> Recording:
         dwell, cell, channel = np.argwhere(~np.isfinite(data))[0].tolist()
         raise RecordingError(
             f"{file}: has NaN or infinity in dwell {dwell}, range cell {cell}, channel {channel}, all from 0: must be"
-            " finite"
+            " finite, in single precision"
         )
     parts = data.view(np.float32).ravel()
     split = np.split(parts, range(_SUMMED, parts.size, _SUMMED))
@@ -155,12 +155,14 @@ def _complex(file: Path, array: NDArray[Any], axes: Sequence[str]) -> NDArray[np
             raise RecordingError(
                 f"{file}: has real numbers ({array.dtype}), must be complex, or have an axis 'iq' of 2: I and Q"
             )
-        return array.astype(np.complex64, copy=False)
+        with np.errstate(over="ignore"):  # what is beyond is infinite, and refused
+            return array.astype(np.complex64, copy=False)
     at = list(axes).index("iq")
     if array.dtype.kind == "c" or array.shape[at] != 2:
         raise RecordingError(f"{file}: axis 'iq' must have 2 real numbers, has {array.shape[at]} of {array.dtype}")
-    i, q = np.moveaxis(array, at, 0).astype(np.float32)
-    return np.asarray(i + 1j * q, np.complex64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        i, q = np.moveaxis(array, at, 0).astype(np.float32)
+        return np.asarray(i + 1j * q, np.complex64)
 
 
 def _parts(file: Path) -> list[Path]:

@@ -81,7 +81,7 @@ def short(name: str) -> str:
 
 def names_of(built_in: Collection[str]) -> str:
     """What may be given, in words."""
-    return f"{', '.join(built_in)}, or your own: {OWN}"
+    return f"{', '.join(built_in)}{', or ' if built_in else ''}your own: {OWN}"
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,12 @@ def test_a_fault_is_of_the_file_that_says_it(tmp_path: Path) -> None:
     )
 
 
+def test_a_world_misses_nothing_of_a_radar_that_is_no_table(tmp_path: Path) -> None:
+    """What it leaves out is as the radar assumes, which is unknown: only the key `radar` is at fault."""
+    files = saved(tmp_path, mine='extends = "smoke"\nradar = 5\n')
+    assert refusal(files["mine"]) == (f"{files['mine']}: radar = 5: must be a table",)
+
+
 def test_what_was_probably_meant_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved(tmp_path, mine='extends = "smoke"\n')
     monkeypatch.chdir(tmp_path)
@@ -101,6 +107,9 @@ def test_what_was_probably_meant_is_said(tmp_path: Path, monkeypatch: pytest.Mon
     assert "(did you mean mine.toml?)" in refusal("mine")[0]
     assert f"(did you mean {tmp_path}/mine.toml?)" in refusal(f"{tmp_path}/mime.toml")[0]
     assert "did you mean" not in refusal("zzz")[0]
+    for name, leads_to in (("gone.toml", "nowhere.toml"), ("loop.toml", "loop.toml")):
+        (tmp_path / name).symlink_to(leads_to)
+        assert refusal(name) == (f"{name}: a symbolic link that leads to no file",)
     assert refusal(str(tmp_path)) == (
         f"{tmp_path}: a directory, must be a .toml file or the name of a built-in scenario",
     )

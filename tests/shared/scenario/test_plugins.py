@@ -8,7 +8,7 @@ import pytest
 
 from cogradar.shared.scenario.files import ScenarioError, load
 from cogradar.shared.scenario.plugins import resolver, sources
-from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, RULE, STRATEGY
+from cogradar.shared.scenario.plugins.kinds import DISTURBANCE, FEED, RULE, STRATEGY
 from cogradar.shared.scenario.plugins.names import PluginRefused, is_own, may_be_own, short
 from cogradar.shared.scenario.plugins.resolver import load_for, resolve
 from cogradar.shared.scenario.plugins.sources import allow, allowance, settled
@@ -89,6 +89,8 @@ def test_an_entry_point_needs_no_permission_and_a_module_does(package: Path) -> 
     resolve(RULE, f"ownrules.looks:rule#{digest}")
     with pytest.raises(PluginRefused, match=r"must be one of orthogonal, uniform, power-aware, or your own"):
         settled(STRATEGY, "always-first", HERE)
+    with pytest.raises(PluginRefused, match=r"must be one of your own: PATH\.py:NAME"):
+        settled(FEED, "always-first", HERE)  # of which none is built in
     (package / "ownrules/looks.py").write_text(TEXT + "# changed\n")
     assert settled(RULE, "ownrules.looks:rule", HERE) != f"ownrules.looks:rule#{digest}"
 

@@ -118,6 +118,8 @@ def test_no_dwell_has_a_data_set_twice(n_cell: int, dwells: int, tmp_path: Path)
             ("dwell", "range", "channel"),
             "dwell 3, range cell 1, chan",
         ),
+        (1e300 * CUBE.astype(complex), ("dwell", "range", "tx", "rx"), "must be finite, in single precision"),
+        (np.full((5, 12, 2), 1e300), ("dwell", "channel", "iq"), "must be finite, in single precision"),
         (0 * DATA, ("dwell", "range", "channel"), "is 0 everywhere"),
         (np.array(["text"]), ("time",), "must have numbers"),
         (DATA, ("iq", "range", "channel"), "axis 'iq' must have 2 real numbers, has 5 of complex64"),
