@@ -100,6 +100,7 @@ def _rule() -> Trial:
             ("no time left", case(0.5, -12.0, 3, lambda: False)),
         ),
         "pomcp",
+        copies=True,
     )
 
 
@@ -190,7 +191,7 @@ def _power(beside: str) -> Trial:
         return made
 
     cases = ((1, 1, "one track"), (2, 1, "two tracks"), (5, 3, "five tracks of three cells each"))
-    return Trial([(name, case(m, n, i)) for i, (m, n, name) in enumerate(cases)], beside)
+    return Trial([(name, case(m, n, i)) for i, (m, n, name) in enumerate(cases)], beside, copies=True)
 
 
 def _disturbance() -> Trial:

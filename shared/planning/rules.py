@@ -68,7 +68,9 @@ def guarded(rule: Any, call: Caller) -> BinRule:
         rng: np.random.Generator,
         has_time: Callable[[], bool] | None = None,
     ) -> Choice:
-        answer = call(rule, problem, radar, rng, has_time)
+        # A copy: the particles are the belief, of which compiled kernels take for granted that it is finite.
+        own = problem._replace(particles=problem.particles.copy())
+        answer = call(rule, own, radar, rng, has_time)
         if not (isinstance(answer, tuple) and len(answer) == len(Choice._fields)):
             raise call.failed(f"returned {answer!r}: must be a Choice of a bin and a number of simulations")
         bin_, n_sim = answer

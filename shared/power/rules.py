@@ -97,7 +97,9 @@ def guarded(rule: Any, call: Caller) -> PowerRule:
         raise PluginRefused(f"{call.short}: must be a function (radar, requests) -> Emission")
 
     def asked(radar: RadarConfig, requests: Requests) -> Emission:
-        answer = call(rule, radar, requests)
+        given = requests._asdict().items()
+        copies: dict[str, Any] = {name: value.copy() for name, value in given if isinstance(value, np.ndarray)}
+        answer = call(rule, radar, requests._replace(**copies))
         if not isinstance(answer, Emission):
             raise call.failed(f"returned {answer!r}: must be an Emission")
         try:

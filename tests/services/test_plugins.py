@@ -11,6 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cogradar
@@ -29,6 +30,7 @@ from cogradar.services.recorder.recorded_run import HINDERED_S
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Progress, as_played, strategy_of
+from cogradar.shared.power.rules import Requests
 from cogradar.shared.protocol.events import Membership, Tick
 from cogradar.shared.protocol.messages import Plan, RunStart
 from cogradar.shared.protocol.recovery import History, NoPlans, NoWaveforms, Snapshot
@@ -119,6 +121,25 @@ def test_an_objective_and_a_file_beside_its_scenario(folder: Path) -> None:
     assert scenario.radar.allocation.objective.startswith("objective.py:equal_echoes#")
     by_file = cogradar.run(scenario, dwells=6)
     assert by_file.digest == cogradar.run("smoke", dwells=6, objective=f"{folder}/objective.py:equal_echoes").digest
+
+
+def test_what_is_written_into_arguments_is_written_into_copies(folder: Path) -> None:
+    """NaN in the particles of a belief would have ended the process: kernels index arrays by them."""
+    rule = (
+        "from cogradar.plugins import Choice\n\ndef f(problem, radar, rng, has_time=None):\n    %sreturn Choice(3, 0)\n"
+    )
+    strategy = "from cogradar.plugins import *\n\ndef f(radar, requests):\n    %sreturn Emission(*sent)\n"
+    sent = "sent = 0.0, beam_factor(requests.nus[:, 0], [0.5, 0.5], 16), requests.nus[:, :1].copy(), [[0.5], [0.5]]; "
+    digests = []
+    for writes in (False, True):
+        into = "problem.particles[:] = 0.0; " if writes else ""
+        also = "requests.nus[:] = 0.25; requests.priorities[:] = 9.0; " if writes else ""
+        (folder / "rule.py").write_text(rule % into)
+        (folder / "strategy.py").write_text(strategy % (sent + also))
+        result = cogradar.run("smoke", dwells=4, rule=f"{folder}/rule.py:f", strategy=f"{folder}/strategy.py:f")
+        digests.append((result.estimates.tobytes(), result.detected.tobytes(), result.factors.tobytes()))
+        assert Requests.of_single(*[np.ones(2)] * 3).priorities.tolist() == [1.0]
+    assert digests[0] == digests[1]
 
 
 @pytest.mark.parametrize(
