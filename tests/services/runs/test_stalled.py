@@ -1,6 +1,7 @@
 """A run that stands still ends with what it waits for, and with the planners that are there to bring it."""
 
 import json
+import re
 import signal
 import threading
 import time
@@ -53,7 +54,8 @@ def test_a_run_says_which_planner_it_waits_for(tmp_path: Path) -> None:
             token = session.liveliness().declare_token(key)
             launcher.signal("planner-0", signal.SIGSTOP)
             row = _until(session, lambda row: "planners that are there: planner-0" in row["waiting_for"])
-            assert row["reason"].startswith("no plans of track 1, 2; planners")
+            late = re.match("no plans of track (1|2|1, 2); planners", row["reason"])  # it may have planned one of them
+            assert late is not None
             assert "waits: no plans of track 1, 2; planners that are there: planner-0" in launcher._tail("recorder-0")
             launcher.signal("planner-0", signal.SIGCONT)
             row = _until(session, lambda row: row["status"] != "running")

@@ -113,7 +113,7 @@ def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connec
 
 def test_what_waits_is_not_drained_though_it_is_no_message(connect: Connect, router: str) -> None:
     """Else whoever is sent nothing but junk for a moment would seem to have handled all."""
-    reader = connect(Role.RECORDER, "m")
+    reader = connect(Role.ALLOCATOR, "m")  # which is told of no planners
     key = BY_MESSAGE[Plan].key_of(plan(), build())
     assert reader.is_drained()
     with open_session([router], 10.0, lambda: None) as session:

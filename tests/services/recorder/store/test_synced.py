@@ -68,3 +68,4 @@ def test_what_is_acknowledged_after_a_sync_that_failed_is_on_the_disk(
     with closing(sqlite3.connect(cut)) as db:
         ((acknowledged,),) = db.execute("SELECT acknowledged_k FROM run")
     assert acknowledged >= k
+    journal.close()

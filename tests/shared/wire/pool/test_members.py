@@ -191,6 +191,7 @@ def test_one_that_was_frozen_serves_nothing_when_it_goes_on(
     first.pool._withdraw(list(first.pool._shown))  # as the router does when a lease is over
     _share([second], 16)
     monkeypatch.setattr(members, "PAUSE_S", 0.0)
+    time.sleep(0.05)  # it is frozen, while this thread computes nothing
     assert first.pool.has_paused()
     assert first.pool.news() == frozenset()
 
