@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import stat
 from contextlib import suppress
 from pathlib import Path
 
@@ -49,6 +50,15 @@ class Followed:
         elif not status.st_mode & 0o222:
             fault = "was made read-only"
         return f"{self._name} {fault}" if fault and is_written(self._name) else ""  # else it is a copy, or what is kept
+
+
+def is_special(path: str) -> bool:
+    """Whether a pipe, a socket or a device is there: SQLite would wait for it, or never end."""
+    try:
+        mode = Path(path).stat().st_mode
+    except (OSError, ValueError):
+        return False  # SQLite says why it cannot be opened
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def has_room(path: str) -> bool:

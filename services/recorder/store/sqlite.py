@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cogradar.services.errors import BadInput, Damaged, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
-from cogradar.services.recorder.store.followed import Place, displaced, has_room, place_of
+from cogradar.services.recorder.store.followed import Place, displaced, has_room, is_special, place_of
 from cogradar.services.recorder.store.lock import JournalLock
 from cogradar.services.recorder.store.seal import beyond_cure, damage, run_asked
 from cogradar.services.recorder.store.tables import MEMORY, SCHEMA_VERSION, statements
@@ -51,7 +51,7 @@ class SqliteConnection:
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.name, self._read_only = path, read_only
-        if path != MEMORY and (file := Path(path)).exists() and not (file.is_file() or file.is_dir()):
+        if path != MEMORY and is_special(path):
             raise BadInput(f"{path}: not a regular file, must be a store of runs or the name of a new one")
         # First of all: SQLite makes a file that is not there, in the place of one that its writer misses.
         try:
