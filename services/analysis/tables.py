@@ -21,9 +21,9 @@ class _Known(Formatter):
         if value is None:
             return "-"
         if format_spec.endswith("f") and LONG <= abs(value) < inf:
-            format_spec = ".1e"
+            format_spec = re.sub(r"(\.\d+)?f$", ".1e", format_spec)  # a sign that is asked for stays
         text = str(super().format_field(value, format_spec))
-        return re.sub(r"e\+0*", "e", text) if isinstance(value, float) else text
+        return text if isinstance(value, str) else re.sub(r"e\+0*(?=\d)", "e", text)
 
 
 _KNOWN = _Known()

@@ -92,6 +92,10 @@ def test_a_number_that_is_long_before_its_point_has_an_exponent() -> None:
     column = Column("NEES", "{nees:.2f}, {low:.1f}, {asked:.4g}")
     assert column.cell({"nees": 568716483352072000.0, "low": -1.25e5, "asked": 1.0e5}) == "5.7e17, -1.2e5, 1e5"
     assert column.cell({"nees": 99_999.0, "low": float("inf"), "asked": 4.0}) == "99999.00, inf, 4"
+    column = Column("difference", "{difference:+z.4f}, {n:.1f}, {share:.2e}, {name}")
+    assert column.cell({"difference": 2.5e6, "n": 200_000, "share": 0.0, "name": "1e+06"}) == (
+        "+2.5e6, 2.0e5, 0.00e0, 1e+06"
+    )
 
 
 def test_headings_are_broken_between_words() -> None:
