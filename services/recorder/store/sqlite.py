@@ -88,16 +88,14 @@ class SqliteConnection:
         self._place = {} if read_only else place_of(path)
 
     def _renew_log(self) -> None:
-        """Put the log of a former writer into the file, and begin it anew. Raises sqlite3.Error.
+        """Put the log of a former writer into the file, and begin it anew. Raises StoreFailed.
 
         If a sync of that writer has failed, the system may hold what no disk has, and calls it written from then on.
         Behind such a gap in the log nothing would outlive a power cut. The file is written and synced for itself.
         """
         try:
-            ((is_busy, *_),) = self.db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        except sqlite3.Error as error:
-            if not _is_for_want_of_room(error):
-                raise
+            ((is_busy, *_),) = self._write(lambda: self.db.execute("PRAGMA wal_checkpoint(TRUNCATE)"))
+        except NoRoom:
             is_busy = True
         self._has_old_log = bool(is_busy)
 
@@ -155,7 +153,7 @@ class SqliteConnection:
 
     def execute(self, statement: str, parameters: Sequence[Any]) -> int:
         """Execute a statement; the number of rows that it changed."""
-        if statement == "ROLLBACK":
+        if statement == "ROLLBACK" or not self.db.in_transaction:  # SQLite may have undone it by itself
             self._spoiled = None
         run = run_asked(statement, parameters)
         return self._write(lambda: self.db.execute(statement, parameters), run).rowcount
@@ -308,10 +306,11 @@ def make(db: sqlite3.Connection, path: str) -> None:
 
 def failure(path: str, error: Exception, run: str = "") -> StoreFailed:
     """What SQLite says of a file in use; `run`: the one that was asked about."""
-    if getattr(error, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
-        return damage(path, "a question took more steps than so many bytes can need: it is damaged")
-    if getattr(error, "sqlite_errorname", "").startswith(_DAMAGED):
-        return damage(path, f"run {run!r}: {error}" if run else str(error), run)
+    said, name = str(error), getattr(error, "sqlite_errorname", "")
+    if name == "SQLITE_INTERRUPT":
+        said = "a question took more steps than so many bytes can need: it is damaged"
+    if name == "SQLITE_INTERRUPT" or name.startswith(_DAMAGED):
+        return damage(path, f"run {run!r}: {said}" if run else said, run)
     return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
 
 

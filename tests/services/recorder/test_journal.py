@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cogradar.services.errors import BadInput, NoRoom, StoreFailed
+from cogradar.services.errors import BadInput, Damaged, NoRoom, StoreFailed
 from cogradar.services.recorder import journal as journals
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal, Retention
@@ -353,3 +353,19 @@ def test_a_statement_that_undoes_the_transaction_is_no_damage_of_one_run(tmp_pat
             journal.delete_dropped()
         connection.db.set_progress_handler(None, 0)
         assert journal.rows("SELECT COUNT(*) FROM message WHERE run = 'new'")[0][0] == 0
+
+
+def test_an_endless_question_about_a_run_is_damage_of_that_run(tmp_path: Path) -> None:
+    """All runs were held for it: it spoils the transaction, and the next one has to know which run to set aside."""
+    with closing(Journal(str(tmp_path / "x.db"), owner="recorder")) as journal:
+        journal.lead()
+        for k in range(4000):
+            journal.add_message("old", k, "plan", 0, b"x")
+        connection = journal._connection
+        assert isinstance(connection, SqliteConnection)
+        connection.db.set_progress_handler(lambda: 1, 100)
+        with pytest.raises(Damaged, match="run 'old': a question took more steps") as caught:
+            journal.rows("SELECT SUM(LENGTH(payload)) FROM message WHERE run = ?", ["old"])
+        connection.db.set_progress_handler(None, 0)
+        assert caught.value.run == "old"
+        journal.rollback()

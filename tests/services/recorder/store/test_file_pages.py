@@ -1,15 +1,17 @@
 """Pages of a file that SQLite cannot read any more: the runs on them are set aside and named, all others go on."""
 
+import os
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from cogradar.services.cli.app import app
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, Damaged, StoreFailed
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
@@ -215,6 +217,52 @@ def test_runs_on_damaged_pages_are_no_hindrance_to_retention(tmp_path: Path, sen
         for message in sent:
             core.handle(message.model_copy(update={"run": "new"}))
         assert _status(journal)["new"] == "complete"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there a process can say which files it has open")
+def test_a_transaction_that_sqlite_undoes_by_itself_after_damage_hinders_no_next_one(
+    tmp_path: Path, sent: list[Message]
+) -> None:
+    """As when the disk fails altogether for a moment: each later statement had the first error, for ever."""
+    path = tmp_path / "runs.db"
+    _fill(path, sent, 60, NAMES[:6])
+    _spoil(path, *_middle(path))
+    with closing(Journal(str(path), owner="recorder")) as journal:
+        journal.lead()
+        with pytest.raises(Damaged):
+            journal.rows("SELECT SUM(LENGTH(payload)) FROM message")
+        journal.rows("PRAGMA shrink_memory")
+        with _unreadable(path), pytest.raises(StoreFailed, match="disk I/O error"):
+            journal.rows("SELECT document FROM run")
+        assert not journal.has_uncommitted
+        journal.rollback()
+        journal.lead()
+        journal.commit()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there a process can say which files it has open")
+def test_a_log_of_a_former_writer_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    with closing(Journal(str(path), owner="recorder")) as journal:
+        journal.lead()
+        journal.commit()
+        journal._connection._has_old_log = True  # type: ignore[attr-defined]
+        with _unreadable(path.with_name("runs.db-wal")), pytest.raises(StoreFailed, match=r"runs\.db: disk I/O error"):
+            journal.check_room()
+
+
+@contextmanager
+def _unreadable(path: Path) -> Iterator[None]:
+    """A file that this process has open can only be written."""
+    (file,) = (int(link.name) for link in Path("/proc/self/fd").iterdir() if link.exists() and link.samefile(path))
+    kept, write_only = os.dup(file), os.open(path, os.O_WRONLY)
+    try:
+        os.dup2(write_only, file)
+        yield
+    finally:
+        os.dup2(kept, file)
+        os.close(kept)
+        os.close(write_only)
 
 
 def test_only_a_table_as_it_was_made_may_stay_beside_the_new_one(tmp_path: Path) -> None:
