@@ -137,8 +137,10 @@ class RecordedRun:
 
     def forgive(self) -> bool:
         """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""
-        if "" in self._hindered and self._inactive >= _OVERDUE_TICKS and not self.pacing.has_deadlines:
-            self._hindered_at[""] = self._ticks  # it still waits
+        if "" in self._hindered and not self.pacing.has_deadlines:
+            dwell = self._dwells.get(self.k)
+            if self._inactive >= _OVERDUE_TICKS and dwell is not None and dwell.tracks - dwell.plans:
+                self._hindered_at[""] = self._ticks  # it still waits for plans
         able = [process for process, at in self._hindered_at.items() if self._ticks - at > _HINDERED_TICKS]
         for process in able:
             del self._hindered[process], self._hindered_at[process]

@@ -16,11 +16,12 @@ import pytest
 from cogradar.services import kernels
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.recorded_run import OVERDUE_S
+from cogradar.services.recorder.recorded_run import HINDERED_S, OVERDUE_S
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.events import Membership, Tick
+from cogradar.shared.protocol.messages import Plan
 from cogradar.shared.protocol.recovery import NoPlans
 from cogradar.shared.protocol.topics import ALIVE, PROTOCOL, Role
 from cogradar.shared.wire.queries import NoAnswer, ask
@@ -92,6 +93,12 @@ def test_it_names_the_planners(n: int, said: str, tmp_path: Path) -> None:
         late = NoPlans.of(sent[0].run, "p1", "p0: no plans; others take their tracks", ends=False)
         core.handle(late.model_copy(update={"late": True}))
         assert journal.rows("SELECT reason FROM run")[0][0] == late.reason
+        for message in sent:
+            if isinstance(message, Plan) and message.k == 0:
+                core.handle(message)
+        for tick in range(round(2 * HINDERED_S / TICK_S)):
+            core.handle(Tick(tick / 4, drained=True))
+        assert journal.rows("SELECT reason FROM run")[0][0] == ""  # it waits for the waveform
 
 
 def test_a_run_that_went_on_is_left_alone_while_metrics_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
