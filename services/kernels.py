@@ -1,5 +1,6 @@
 """Compiled kernels: make them once per state of the sources, and report it."""
 
+import logging
 import os
 import shutil
 import threading
@@ -72,7 +73,11 @@ def load_planner() -> None:
     start = RunStart.of(parse(document, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2)
     run: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": 2, "rate_hz": 0.0}
     run |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
-    list(PlannerCore("loads").handle(Checkpoint(**run, k=1, t=1)))
+    logging.disable(logging.INFO)  # or the log says that it owns tracks of this run
+    try:
+        list(PlannerCore("loads").handle(Checkpoint(**run, k=1, t=1)))
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _compile(report: Callable[[str], None], stop: threading.Event | None) -> None:

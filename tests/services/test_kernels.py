@@ -2,6 +2,7 @@
 
 import errno
 import gc
+import logging
 import multiprocessing
 import os
 import resource
@@ -233,6 +234,14 @@ before, began = set(sys.modules), time.process_time()
 list(PlannerCore("p").handle(checkpoint))
 print(len(set(sys.modules) - before), time.process_time() - began)
 """
+
+
+def test_a_run_that_is_joined_to_load_is_not_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    """Each start of a planner said that it owns tracks, of a run that is nowhere else."""
+    caplog.set_level(logging.INFO)
+    kernels.load_planner()
+    logging.getLogger("cogradar").info("after it")
+    assert caplog.messages == ["after it"]
 
 
 def test_a_planner_has_loaded_what_it_needs_before_it_joins_a_run() -> None:
