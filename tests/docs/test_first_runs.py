@@ -15,7 +15,6 @@ _RUN = re.compile(r"The first of these runs is `cogradar run ([^`]*)`, digest `(
 EARLIER = "An earlier program made"  # what a page says of tables that were not made anew: these
 MADE_EARLIER = {
     "array.md": {"steered", "twelve", "crowded", "traffic", "jammer", "heights", "best", "literal"},
-    "beyond.md": {"particles"},
     "decisions.md": {"policies", "policies-weak"},
     "skies.md": {"recorded"},  # its sky is of a package's data, which no test has
 }
