@@ -68,7 +68,7 @@ def guarded(rule: Any, call: Caller) -> BinRule:
         rng: np.random.Generator,
         has_time: Callable[[], bool] | None = None,
     ) -> Choice:
-        # A copy: the particles are the belief, of which compiled kernels take for granted that it is finite.
+        # A rule may write into its argument. The particles are the belief itself, and kernels crash on NaN in it.
         own = problem._replace(particles=problem.particles.copy())
         answer = call(rule, own, radar, rng, has_time)
         if not (isinstance(answer, tuple) and len(answer) == len(Choice._fields)):

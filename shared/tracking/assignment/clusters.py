@@ -49,8 +49,8 @@ def separate(tracks: Floats, seen: Floats, order: Ints, lobe: float, cell_km: fl
 
 @kernel
 def _possible(tracks: Floats, seen: Floats, lobe: float, cell_km: float) -> tuple[Ints, Ints]:
-    """Which detections may be of which track (`_may_be`): where each track's begin, (M + 1,), in a list of all,
-    ascending for each track.
+    """Gate the detections (`_may_be`): the index at which the part of each track begins, (M + 1,), in a list of the
+    possible detections of all tracks, which ascends for each track.
 
     Sorted by range, most of the detections need not be looked at: cost O((M + n) log n + pairs), where ranges are
     measured. Arguments as of `separate`.

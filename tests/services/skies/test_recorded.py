@@ -319,7 +319,6 @@ def test_an_empty_sky_says_why(content: str | bytes, words: str, tmp_path: Path)
     assert str(caught.value).isprintable()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="it has no named pipes")
 @pytest.mark.parametrize("kind", ["pipe", "/dev/zero"])
 def test_what_is_no_regular_file_is_not_read(kind: str, tmp_path: Path) -> None:
     """A pipe can be read once, and a device has no end."""

@@ -73,7 +73,6 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     return path, said
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="it has no named pipes")
 @pytest.mark.parametrize("is_read_only", [False, True])
 @pytest.mark.parametrize("kind", ["pipe", "/dev/full"])
 def test_what_is_no_regular_file_is_not_opened(kind: str, is_read_only: bool, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.sqlite import SqliteConnection
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message
 from tests.services.loop import play, smoke_start
@@ -49,7 +50,9 @@ def test_what_is_acknowledged_after_a_sync_that_failed_is_on_the_disk(
         if (file := tmp_path / f"runs.db{end}").exists() and not is_followed:
             shutil.copyfile(file, tmp_path / f"next.db{end}")
     if is_followed:
-        journal._connection.lose_lock()  # type: ignore[attr-defined]
+        connection = journal._connection
+        assert isinstance(connection, SqliteConnection)
+        connection.lose_lock()  # as the end of the process does
     name = path if is_followed else tmp_path / "next.db"
     with closing(Journal(str(name), owner="recorder")) as after:
         again, k = Recorder(after, resume=True), 0
