@@ -17,7 +17,7 @@ from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
-from cogradar.services.recorder.store.check import check_count, check_whole
+from cogradar.services.recorder.store.check import check_count, check_row
 from cogradar.services.recorder.store.database import deposed
 from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
@@ -173,13 +173,14 @@ class RecorderCore:
         start = self._journal.start(name)
         if start is None:
             raise Unreadable("no such run")
-        row = check_whole(self._journal, name)
+        row = check_row(self._journal, name)
         k, t = row["acknowledged_k"], row["acknowledged_t"]
         run = RecordedRun(start, k, t, self._journal.orders(name), resumed=True)
         run.n_message = row["messages"]
         for target in self._journal.snapshot_ks(name):
             self._journal.snapshot(name, target, 0)  # if it cannot be read, the next one cannot replace it
-        self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
+        span = self._spans[name] = KeptSpan.of(start, self._retention)
+        span.reopen(self._journal, row)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
             if isinstance(message, OfDwell):
@@ -200,7 +201,7 @@ class RecorderCore:
             raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start)
-        self._spans[start.run] = KeptSpan.of(self._journal, start, self._retention)
+        self._spans[start.run] = KeptSpan.of(start, self._retention)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
 
     def _start_of(self, run: str) -> RunStart | None:
@@ -390,9 +391,15 @@ class RecorderCore:
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()
+        self._count_some()
         if self._has_waited():
             answers += self._commit()
         return [*answers, *self._repeated()]
+
+    def _count_some(self) -> None:
+        """Go on counting the messages of a long run that was reopened. Raises Damaged."""
+        for name in [name for name, span in self._spans.items() if not span.is_counted][:1]:
+            self._spans[name].count(self._journal, name)
 
     def _has_waited(self) -> bool:
         """Whether rows have been uncommitted for long enough, after one more tick."""

@@ -29,6 +29,7 @@ from cogradar.services.recorder.store.seal import (
 from cogradar.services.recorder.store.tables import Recording
 from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.trajectories.rows import Rows
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
@@ -354,11 +355,11 @@ class Journal(Database):
         """Dwell of the snapshot of each track, counted from 1, that has one."""
         return {row[0]: row[1] for row in self.rows("SELECT target, k FROM snapshot WHERE run = ?", (run,))}
 
-    def extent(self, run: str) -> tuple[int, int]:
-        """Bytes of the messages of a run, and the oldest dwell that was not cut."""
-        size = "SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE message.run = run.run"
-        rows = self.rows(f"SELECT ({size}), kept_k FROM run WHERE run = ?", (run,))
-        return next(((row[0], row[1]) for row in rows), (0, 0))
+    def extent(self, run: str, from_k: int = 0, before_k: int = NO_END) -> tuple[int, int]:
+        """Number and bytes of the messages of a run's dwells from one on, up to one before another."""
+        query = "SELECT COUNT(*), COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE run = ? AND k >= ? AND k < ?"
+        (row,) = self.rows(query, (run, from_k, before_k))
+        return int(row[0]), int(row[1])
 
     def start(self, run: str) -> RunStart | None:
         """How a run began, None if it is not there. Raises Unreadable, Damaged."""

@@ -99,11 +99,17 @@ def check_known(store: Database, table: str) -> None:
 
 def check_whole(store: Database, run: str) -> dict[str, Any]:
     """The row of a run. Raises Damaged if messages of acknowledged dwells are missing, or commands."""
+    row = check_row(store, run)
+    check_count(store, run, row["acknowledged_k"], row["messages"])
+    return row
+
+
+def check_row(store: Database, run: str) -> dict[str, Any]:
+    """The row of a run. Raises Damaged if commands to it are missing."""
     rows = store.stored("run", "WHERE run = ?", [run])
     if not rows:
         raise damage(store.path, f"run {run!r}, table run: there is no such run", run)
     (row,) = rows
-    check_count(store, run, row["acknowledged_k"], row["messages"])
     ((found,),) = store.rows("SELECT COUNT(*) FROM command WHERE run = ?", [run])
     if found != row["commands"]:
         raise damage(store.path, f"run {run!r}, table command: {found} are there, {row['commands']} were recorded", run)
@@ -114,8 +120,13 @@ def check_count(store: Database, run: str, k: int, n_message: int) -> None:
     """Raises Damaged unless a run has so many messages of the dwells below k."""
     ((found,),) = store.rows("SELECT COUNT(*) FROM message WHERE run = ? AND k < ?", [run, k])
     if found != n_message:
-        what = f"{found} messages of the dwells below {k} are there, {n_message} were recorded"
-        raise damage(store.path, f"run {run!r}, table message: {what}", run)
+        raise missing(store, run, found, k, n_message)
+
+
+def missing(store: Database, run: str, found: int, k: int, n_message: int) -> Damaged:
+    """That a run has not as many messages of the dwells below k as were recorded."""
+    what = f"{found} messages of the dwells below {k} are there, {n_message} were recorded"
+    return damage(store.path, f"run {run!r}, table message: {what}", run)
 
 
 def check_scores(store: Database, run: str) -> None:

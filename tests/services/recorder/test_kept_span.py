@@ -13,9 +13,10 @@ from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder import kept_span
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.services.recorder.store.seal import QUARANTINED
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MIXTURE
-from cogradar.shared.protocol.messages import Message, RunCancel
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, Waveform
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.limits import NO_END
@@ -96,13 +97,13 @@ def test_dwells_are_cut_by_time_up_to_the_oldest_snapshot_or_birth_that_a_track_
     assert newest - SPAN - 32 <= oldest <= newest - SPAN + 1
     (row,) = journal.rows("SELECT kept_k FROM run")
     assert row[0] == oldest
-    assert journal.extent("r") == (core._spans["r"].n_byte, oldest)
+    assert journal.extent("r")[1] == core._spans["r"].n_byte
 
 
 def test_dwells_are_cut_by_size_and_a_recorder_that_comes_back_goes_on_so() -> None:
     (journal, core), size = _begun(NO_END, Retention()), 0
     _play(core, 0, 100)
-    size, _ = journal.extent("r")
+    _, size = journal.extent("r")
     journal, core = _begun(NO_END, Retention(bytes_of_run=size))
     for first in range(0, 600, 100):
         if first == 300:
@@ -110,10 +111,64 @@ def test_dwells_are_cut_by_size_and_a_recorder_that_comes_back_goes_on_so() -> N
         _play(core, first, first + 100)
         for track in (0, 1)[: 1 + (first >= 201)]:
             _snap(core, track, first + 50)
-    assert size < journal.extent("r")[0] < 2.5 * size  # what is needed, of two tracks, is more than was allowed
+    assert size < journal.extent("r")[1] < 2.5 * size  # what is needed, of two tracks, is more than was allowed
     assert _ks(journal)[0] > 400
     core.handle(RunCancel(run="r"))
     assert journal.read("SELECT status, digest FROM run") == [{"status": "stopped", "digest": ""}]
+
+
+def _again(journal: Journal, keep: Retention) -> RecorderCore:
+    journal.commit()
+    return RecorderCore(journal, resume=True, keep=keep)
+
+
+def test_a_long_run_goes_on_before_its_messages_are_counted_and_is_cut_afterwards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(kept_span, "COUNTED_DWELLS", 20)
+    monkeypatch.setattr(kept_span, "COUNTED_AT_ONCE", 50)
+    journal, core = _begun(NO_END, Retention())
+    _play(core, 0, 170)
+    _snap(core, 0, 140)
+    journal.write(
+        "DELETE FROM message WHERE run = 'r' AND k = 169 AND topic = 'waveform'"
+    )  # the last one is incomplete
+    core = _again(journal, HOURS)
+    span = core._spans["r"]
+    assert 0 < span.n_counted < 100
+    (newest,) = (message for message in _sent(169) if isinstance(message, Waveform))
+    for message in (newest, *_sent(170)):
+        assert list(core.handle(message)) == []
+    assert not span.is_counted
+    _play(core, 171, 190)
+    assert _ks(journal)[0] == 0  # nothing is cut meanwhile
+    while span.counted_k > 0:
+        core.handle(Tick(0.0))
+    assert span.n_byte == journal.extent("r")[1]
+    for first in range(190, 240, 10):
+        _play(core, first, first + 10)
+    assert _ks(journal)[0] == 140
+
+
+@pytest.mark.parametrize("most", [50, 1_000_000])
+def test_messages_that_are_gone_are_missed_by_a_recorder_that_goes_on(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once in a short run; in a long one when it has counted them, some at each tick."""
+    monkeypatch.setattr(kept_span, "COUNTED_DWELLS", 20)
+    monkeypatch.setattr(kept_span, "COUNTED_AT_ONCE", most)
+    journal, core = _begun(NO_END, Retention())
+    _play(core, 0, 170)
+    journal.write("DELETE FROM message WHERE run = 'r' AND k = 7 AND topic = 'scan'")
+    core, told = _again(journal, Retention()), list[Message]()
+    is_long = most == 50
+    assert (len(core._runs) == 1) == is_long
+    for _ in range(20):
+        told += core.handle(Tick(0.0))
+    ((status, reason),) = journal.rows("SELECT status, reason FROM run")
+    assert status == QUARANTINED
+    assert "messages of the dwells below 1" in reason
+    assert [message.ended for message in told if isinstance(message, Checkpoint)][-1:] == [True] * is_long
 
 
 def test_a_run_with_an_end_is_kept_whole() -> None:
