@@ -26,7 +26,7 @@ from cogradar.shared.scenario.faults import printable, printable_lines
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
-from cogradar.shared.wire.queries import Claim, alive
+from cogradar.shared.wire.queries import Claim, alive, names_alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
@@ -54,6 +54,13 @@ class Gathering(Protocol):
     """A core that shows what all processes count, in threads of its own."""
 
     gather: Callable[[], Any] | None
+
+
+@runtime_checkable
+class Beginning(Protocol):
+    """A core that begins runs, for which a recorder must be there."""
+
+    has_recorder: Callable[[], bool]
 
 
 @runtime_checkable
@@ -123,6 +130,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             from cogradar.services.metrics.processes import gather
 
             core.gather = partial(gather, session)
+        if isinstance(core, Beginning):
+            core.has_recorder = lambda: bool(names_alive(session, build(), Role.RECORDER))
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
         gc.freeze()  # what was loaded since, too
         log.info("connected to %s", connect)

@@ -2,10 +2,11 @@
 
 It keeps nothing. An operator that comes back begins with the first seed again, and the run of the one before it ends
 by itself after its last dwell. A run without an end outlives its operator: one that comes back listens first, and
-takes the run that goes on for its own.
+takes the run that goes on for its own. It listens from the moment at which a recorder is there: one that is restarted,
+too, may be reading its journal.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
@@ -24,6 +25,7 @@ class OperatorCore:
 
     def __init__(self, scenario: Scenario | None, rate_hz: float = 0.0) -> None:
         """Play the scenario, power-aware, at so many dwells a second (0: in lockstep); None: begin no runs."""
+        self.has_recorder: Callable[[], bool] = lambda: True  # asked before a run begins
         self._scenario, self._rate_hz = scenario, rate_hz
         self._seed = 0
         self._run = ""  # its name; empty: none goes on
@@ -80,6 +82,8 @@ class OperatorCore:
 
     def _tick(self, scenario: Scenario) -> Sequence[Message]:
         self._paused += 1
+        if not self._run and not self.has_recorder():
+            self._paused = 0
         if not self._run and self._paused < self._pause:
             return ()
         if not self._run:

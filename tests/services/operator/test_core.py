@@ -4,7 +4,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +16,12 @@ from cogradar.services.operator.core import GONE_TICKS, LISTEN_TICKS, RESEND_TIC
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
+from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.samples import sample
 from tests.services.loop import SMOKE
 
@@ -111,6 +115,23 @@ def test_of_two_runs_without_an_end_the_older_one_stays() -> None:
     assert not _ticks(operator, GONE_TICKS - 1)
 
 
+def test_it_begins_no_run_and_listens_to_none_before_a_recorder_is_there() -> None:
+    """A recorder that is restarted may read for longer than an operator listens, and then goes on with its run."""
+    operator = OperatorCore(ENDLESS, 10.0)
+    start, is_there = _begun(OperatorCore(ENDLESS, 10.0)), False
+    operator.has_recorder = lambda: is_there
+    assert not _ticks(operator, 20 * LISTEN_TICKS)
+    is_there = True
+    assert not _ticks(operator, LISTEN_TICKS - 1)
+    operator.handle(_goes_on(start, k=1000))
+    is_there = False  # for longer than it waits for a run that it found
+    assert not _ticks(operator, 2 * GONE_TICKS)
+    is_there = True
+    assert not _ticks(operator, LISTEN_TICKS - 1)
+    operator.handle(_goes_on(start, k=1016))
+    assert not _ticks(operator, GONE_TICKS - 1)
+
+
 def test_a_run_of_another_radar_or_with_an_end_is_not_taken() -> None:
     operator = OperatorCore(ENDLESS, 10.0)
     start = _begun(OperatorCore(ENDLESS, 10.0))
@@ -135,6 +156,26 @@ def test_without_a_scenario_it_idles() -> None:
     operator = OperatorCore(None)
     assert not _ticks(operator, 3 * RESEND_TICKS)
     assert not operator.leave()
+
+
+@pytest.mark.zenoh
+def test_the_service_begins_its_run_when_a_recorder_is_there(router: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cogradar", "service", "operator", "--connect", router]
+    session = open_session([router], 10.0, lambda: None)
+    bus = ZenohBus(session, Role.OPERATOR, "reader")  # reads what a recorder says
+    with closing(bus), subprocess.Popen([*command, "--scenario", "smoke", "--set", "dwells=unlimited"]) as operator:
+        try:
+            assert all(bus.receive(0.25) is None for _ in range(2 * LISTEN_TICKS))
+            recorder = [sys.executable, "-m", "cogradar", "service", "recorder", "--store", str(tmp_path / "s.db")]
+            with subprocess.Popen([*recorder, "--connect", router]) as recording:
+                deadline = time.monotonic() + 30.0
+                while (begun := bus.receive(0.25)) is None:
+                    assert time.monotonic() < deadline
+                recording.terminate()
+            assert isinstance(begun, Checkpoint)
+            assert (begun.k, begun.dwells) == (0, NO_END)
+        finally:
+            operator.terminate()
 
 
 @pytest.mark.zenoh
