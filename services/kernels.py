@@ -7,7 +7,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from filelock import lock_descriptor
 
 from cogradar.services.errors import RunFailed, check_stop
-from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling, interpret
+from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling, interpret, late_kernels
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Checkpoint, RunStart
 from cogradar.shared.scenario.faults import printable
@@ -28,6 +28,7 @@ EACH_S = 15.0  # how far it is, is said
 FUNCTIONS = 420  # some, to compile
 MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
+log = logging.getLogger(__name__)
 _locks: dict[Path, int] = {}  # a descriptor per folder: open, and so locked, until this process ends
 
 
@@ -118,6 +119,11 @@ def _compile(report: Callable[[str], None], stop: threading.Event | None) -> Non
             radar = scenario.radar.model_copy(update={"planner": planner})
             warm_up(radar, TrackerModel.of(radar, Strategy.POWER_AWARE, seed=1))
             check()
+
+
+def say_late() -> AbstractContextManager[None]:
+    """Within, a kernel that is compiled is said in the log: `compile_all` lacks it, and all runs wait for it."""
+    return late_kernels(lambda name, took_s: log.warning("all runs waited for %.1f s: %s was compiled", took_s, name))
 
 
 def _mark() -> None:

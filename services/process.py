@@ -102,11 +102,12 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
     check = partial(check_stop, stop)
     with ExitStack() as closing, suppress(Interrupted):
         if service.kernels:
-            from cogradar.services.kernels import compile_all, load_planner
+            from cogradar.services.kernels import compile_all, load_planner, say_late
 
             compile_all(log.info, stop)
             if service.role is Role.PLANNER:
                 load_planner()
+            closing.enter_context(say_late())
         if service.yields and hasattr(os, "nice"):
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
         core = _made(service.core, replace(start, check=check))

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -199,4 +200,25 @@ def compiling(check: Callable[[], None]) -> Iterator[None]:
             pass
 
     with event.install_listener("numba:compile", Checking()):
+        yield
+
+
+@contextmanager
+def late_kernels(tell: Callable[[str, float], None]) -> Iterator[None]:
+    """Tell of each function that is compiled, and how many seconds it took, with all that it calls."""
+
+    class Timing(event.Listener):  # type: ignore[misc] # numba is not typed
+        depth, begun_s = 0, 0.0
+
+        def on_start(self, _event: Any) -> None:
+            if self.depth == 0:
+                self.begun_s = time.monotonic()
+            self.depth += 1
+
+        def on_end(self, ended: Any) -> None:
+            self.depth -= 1
+            if self.depth == 0:
+                tell(ended.data["dispatcher"].py_func.__qualname__, time.monotonic() - self.begun_s)
+
+    with event.install_listener("numba:compile", Timing()):
         yield

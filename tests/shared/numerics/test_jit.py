@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cogradar.shared.numerics import jit
-from cogradar.shared.numerics.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
+from cogradar.shared.numerics.jit import CACHE_DIR, NOT_KEPT, compiling, kernel, late_kernels
 from cogradar.shared.signal.angle import bin_of
 from tests.plain import plain
 
@@ -166,7 +166,7 @@ def test_compiling_can_be_stopped_by_what_the_check_raises() -> None:
 
     inner = numba.njit(lambda x: x + 1.0)
     outer = numba.njit(lambda x: 2.0 * inner(x))
-    begun: list[int] = []
+    begun, late = list[int](), list[tuple[str, float]]()
 
     def check() -> None:
         begun.append(1)
@@ -176,5 +176,10 @@ def test_compiling_can_be_stopped_by_what_the_check_raises() -> None:
     with compiling(check), pytest.raises(Stopped):
         outer(1.0)
     assert len(begun) == 2
-    assert outer(1.0) == 4.0  # nothing is left half done, and nobody is asked any more
+    with late_kernels(lambda *kernel: late.append(kernel)):
+        assert outer(1.0) == 4.0  # nothing is left half done, and nobody is asked any more
+        assert outer(2.0) == 6.0
+    ((name, took_s),) = late  # with the one that it calls
+    assert name.endswith("<lambda>")
+    assert 0.0 < took_s < 60.0
     assert len(begun) == 2
