@@ -385,8 +385,9 @@ class RecorderCore:
         going_on = {name for name, run in self._runs.items() if run.has_news and not run.pacing.has_deadlines}
         for name, run in list(self._runs.items()):
             run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
+            is_known = run.lacks_plans  # under overload the tracks change with each tick
             if self.planners is not None and run.hinder_overdue(self.planners):
-                log.warning("%s: %s", name, run.hindrances)
+                log.log(logging.DEBUG if is_known else logging.WARNING, "%s: %s", name, run.hindrances)
                 self._journal.hinder(name, run.hindrances)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)

@@ -125,6 +125,11 @@ class RecordedRun:
         self._hindered[process], self._hindered_at[process] = reason, self._ticks
         return is_news
 
+    @property
+    def lacks_plans(self) -> bool:
+        """Whether it was noted that plans are overdue, and is not over."""
+        return "" in self._hindered
+
     def hinder_overdue(self, planners: Sequence[str]) -> bool:
         """Note which planners could bring the plans that are overdue, as far as none says so of another; whether that
         is news.
@@ -133,7 +138,7 @@ class RecordedRun:
             return False
         able = [name for name in planners if any(may_plan(name, track) for track in self._overdue)]
         tracks = _listed([str(track + 1) for track in self._overdue])
-        return self.hinder("", f"no plans of track {tracks}; planners that are there: {_listed(able) or 'none'}")
+        return self.hinder("", f"no plans of track {tracks}; planners present: {_listed(able) or 'none'}")
 
     def forgive(self) -> bool:
         """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""

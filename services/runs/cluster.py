@@ -308,7 +308,7 @@ class _Told:
         """Tell what is new after so long without a dwell; the progress, which names the receiver that is waited for."""
         if now.hindered not in {"", self._hindered}:
             self._hindered = now.hindered
-            self._notify(f"takes no part: {now.hindered}")
+            self._notify(f"hindered: {now.hindered}")
         if self._front_end == Start.front_end or not now.waiting_for.startswith(EMULATOR):
             return now
         now = replace(now, waiting_for=f"{self._front_end}, for {now.waiting_for}")

@@ -387,7 +387,7 @@ def test_over_zenoh_a_planner_with_another_source_takes_no_part(folder: Path, tm
                     cluster.play_on(launcher.endpoint, nobodys, **given)
             finally:
                 stranger.terminate()
-    assert [text for text in told if text.startswith("takes no part: stranger: rule.py:ahead: ")]
+    assert [text for text in told if text.startswith("hindered: stranger: rule.py:ahead: ")]
 
 
 def _received(folder: Path) -> tuple[RunStart, str]:

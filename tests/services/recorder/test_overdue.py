@@ -5,7 +5,11 @@ from itertools import pairwise
 import pytest
 
 from cogradar.services.delivery.pacing import RealTime
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.overdue import FIRST_S, MISSED, WITHIN_S, OverduePlans
+from cogradar.shared.protocol.events import Tick
+from tests.services.births import HERE, THERE, plan, roster, scan, start_of, truth, waveform
 
 
 def _dwells(plans: OverduePlans, first: int, last: int, planned: frozenset[int] = frozenset()) -> dict[int, set[int]]:
@@ -67,3 +71,23 @@ def test_a_track_that_has_ended_is_not_awaited() -> None:
         plans.hear_plan(k, 1)
         plans.hear_plan(k, 0)
         assert plans.take() == set()
+
+
+def test_what_is_overdue_is_logged_once_while_it_changes(caplog: pytest.LogCaptureFixture) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    core.planners = ["planner-0"]
+    core.handle(start_of(1000, rate_hz=4.0))
+    states, reasons = {0: HERE, 1: THERE}, list[str]()
+    for k in range(60):
+        tracks = roster({} if k == 0 else states, confirmed=[] if k == 0 else [0, 1])
+        said = [scan(k, tracks), truth(k, {0: HERE, 1: THERE}), waveform(k, roster(states))]
+        said += [plan(k, 0, HERE)] if 0 < k < 4 or k % 20 == 19 else []
+        for message in said:
+            core.handle(message)
+        core.handle(Tick(0.25 * k))
+        ((reason,),) = journal.rows("SELECT reason FROM run")
+        reasons += [reason] * (reason not in reasons[-1:])
+    assert "no plans of track 2; planners present: planner-0" in reasons
+    assert "no plans of track 1; planners present: planner-0" in reasons
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [f"r: {reasons[1]}"]

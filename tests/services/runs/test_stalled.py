@@ -54,10 +54,10 @@ def test_a_run_says_which_planner_it_waits_for(tmp_path: Path) -> None:
             key = ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name="planner-0")
             token = session.liveliness().declare_token(key)
             launcher.signal("planner-0", signal.SIGSTOP)
-            row = _until(session, lambda row: "planners that are there: planner-0" in row["waiting_for"])
+            row = _until(session, lambda row: "planners present: planner-0" in row["waiting_for"])
             late = re.match("no plans of track (1|2|1, 2); planners", row["reason"])  # it may have planned one of them
             assert late is not None
-            assert "waits: no plans of track 1, 2; planners that are there: planner-0" in launcher._tail("recorder-0")
+            assert "waits: no plans of track 1, 2; planners present: planner-0" in launcher._tail("recorder-0")
             launcher.signal("planner-0", signal.SIGCONT)
             row = _until(session, lambda row: row["status"] != "running")
             token.undeclare()
@@ -86,7 +86,7 @@ def test_it_names_the_planners(n: int, said: str, tmp_path: Path) -> None:
         for tick in range(OVERDUE_TICKS + 2):
             core.handle(Tick(tick / 4, drained=True))
         ((reason,),) = journal.rows("SELECT reason FROM run")
-        assert reason == f"no plans of track 1, 2; planners that are there: {said}"
+        assert reason == f"no plans of track 1, 2; planners present: {said}"
         for tick in range(200):
             core.handle(Tick(tick / 4, drained=True))
         assert journal.rows("SELECT reason FROM run")[0][0] == reason
