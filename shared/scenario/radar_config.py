@@ -44,7 +44,7 @@ class ArraySection(Section):
     n_tx: Annotated[int, Field(ge=2, le=512)]
     n_rx: Annotated[int, Field(ge=2, le=512)]
     n_bin: Annotated[int, Field(ge=3, le=1024)]
-    power: Annotated[float, Field(gt=0, le=1e6)]
+    power: Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
 class DetectorSection(Section):
