@@ -2,7 +2,6 @@
 
 import pytest
 
-from cogradar.services.errors import RunFailed
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.runs.in_process import play
 from cogradar.shared.protocol.messages import RunStart
@@ -62,9 +61,6 @@ EXTREMES: dict[str, tuple[int, tuple[str, ...]]] = {
     "the longest dwells": (8, ("radar.motion.dt_s=60.0", "radar.motion.sigma_s_km_s2=1.0")),
     "hardly any dwell": (8, ("radar.motion.dt_s=5e-324",)),
 }
-
-
-TOO_WEAK = {extreme for extreme in EXTREMES if extreme.startswith("hardly any power")}  # to measure an amplitude by
 STRATEGIES = [Strategy.POWER_AWARE, pytest.param(Strategy.ORTHOGONAL, marks=pytest.mark.nightly)]
 
 
@@ -75,10 +71,6 @@ STRATEGIES = [Strategy.POWER_AWARE, pytest.param(Strategy.ORTHOGONAL, marks=pyte
 def test_a_run_ends_or_says_why(extreme: str, strategy: Strategy) -> None:
     dwells, changed = EXTREMES[extreme]
     start, store = RunStart.of(load("smoke", (*SMALL, *changed)), strategy, 1, dwells), in_memory()
-    if extreme in TOO_WEAK:
-        with pytest.raises(RunFailed, match=r"front end: .*overflow"):
-            play(start, store=store)
-        return
     assert play(start, store=store).run["status"] == "complete"
     (row,) = store.read("SELECT acknowledged_t AS t FROM run")
     assert row["t"] == dwells
