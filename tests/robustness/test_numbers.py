@@ -2,6 +2,7 @@
 
 import pytest
 
+from cogradar.services.errors import RunFailed
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.runs.in_process import play
 from cogradar.shared.protocol.messages import RunStart
@@ -27,6 +28,7 @@ STRONGEST = (  # above 1.8e19, so that their squares overflow in single precisio
     "radar.array.power=1e6",
     *loudness(200.0),
 )
+TOO_WEAK = "hardly any power"
 EXTREMES: dict[str, tuple[int, tuple[str, ...]]] = {
     "targets that come to one place": (
         12,
@@ -56,7 +58,7 @@ EXTREMES: dict[str, tuple[int, tuple[str, ...]]] = {
     "the strongest echoes": (8, STRONGEST),
     "the strongest echoes of whom nobody announced": (8, (*UNKNOWN, *STRONGEST)),
     "the most power": (8, ("radar.array.power=1e6",)),
-    "hardly any power": (4, ("radar.array.power=1e-6", "radar.acquisition.max_scans=5")),
+    TOO_WEAK: (4, ("radar.array.power=1e-6", "radar.acquisition.max_scans=5")),
     "hardly any power for whom nobody announced": (8, (*UNKNOWN, "radar.array.power=1e-6")),
     "the longest dwells": (8, ("radar.motion.dt_s=60.0", "radar.motion.sigma_s_km_s2=1.0")),
     "hardly any dwell": (8, ("radar.motion.dt_s=5e-324",)),
@@ -71,6 +73,10 @@ STRATEGIES = [Strategy.POWER_AWARE, pytest.param(Strategy.ORTHOGONAL, marks=pyte
 def test_a_run_ends_or_says_why(extreme: str, strategy: Strategy) -> None:
     dwells, changed = EXTREMES[extreme]
     start, store = RunStart.of(load("smoke", (*SMALL, *changed)), strategy, 1, dwells), in_memory()
+    if extreme == TOO_WEAK:
+        with pytest.raises(RunFailed, match="not every target was detected within 5 scans"):
+            play(start, store=store)
+        return
     assert play(start, store=store).run["status"] == "complete"
     (row,) = store.read("SELECT acknowledged_t AS t FROM run")
     assert row["t"] == dwells
