@@ -1,11 +1,13 @@
 """Figures of pages show what their tables say, and are as old as they are."""
 
+import re
+
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from docs.generator import figures
+from docs.generator import decisions, figures
 
 
 @pytest.mark.parametrize("name", figures.DRAWINGS)
@@ -17,6 +19,17 @@ def test_a_picture_is_of_its_tables_and_on_its_page(name: str) -> None:
     page = (figures.DOCS / drawing.page).read_text(encoding="utf-8")
     assert f"(figures/{name}.png)" in page
     assert all(f"(tables/{table}.csv)" in page for table in drawing.tables)
+
+
+def test_what_the_search_buys_is_said_of_the_tables() -> None:
+    page = decisions.PAGE.read_text(encoding="utf-8")
+    assert decisions.with_buys(page) == page, "older than its tables: python -m docs.generator.decisions"
+    for place in (figures.DOCS.parent / "README.md", figures.DOCS / "limits.md"):
+        ((bound, settings),) = re.findall(
+            r"within (0\.\d+) of\s+P_D in each of (\d+) settings", place.read_text(encoding="utf-8")
+        )
+        assert decisions.largest() <= float(bound)
+        assert f"of {settings} settings" in page
 
 
 def test_marks_are_the_numbers_of_the_tables() -> None:
