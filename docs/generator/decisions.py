@@ -28,14 +28,14 @@ def buys(page: str) -> str:
     said = {rule: f"{row['target 2']} [{row[LOW]}, {row[HIGH]}]" for rule, row in own.items()}
     oracle = next(text for rule, text in said.items() if rule.startswith("oracle"))
     text = (
-        f"**The search buys nothing here.** In {least} of {len(by_mode)} settings the most probable bin detects target"
-        f" 2 less often than the search, and in {most} more often. In the others the interval of the difference holds 0."
-        f" The largest difference is {largest():.4f}. At the scenario's own setting"
-        f" ({OWN['fidelity']}, {own['mode']['pairs']} seeds) it is {said['mode']}."
-        f" There the most probable bin is provably the best for {min(proved):.1f} % of its decisions, as far as two"
-        f" looks go. Compared with the search, P_D changes by {said['exact']} with the exact depth-2 value. It changes by"
-        f" {oracle} with a rule that knows the truth, and by {said['mean']} with the bin of the mean. A decision by"
-        f" search costs {cost['pomcp'] / cost['mode']:.0f} times one by counting."
+        f"**The search buys nothing here.** In {least} of {len(by_mode)} settings the most probable bin detects"
+        f" target 2 less often than the search, and in {most} more often. In the others the interval of the difference"
+        f" holds 0. The largest difference is {largest():.4f}. At the scenario's own setting"
+        f" ({OWN['fidelity']}, {own['mode']['pairs']} seeds) it is {said['mode']}. There the most probable bin is provably"
+        f" the best for {min(proved):.1f} % of its decisions, as far as two looks go. Compared with the search, P_D"
+        f" changes by {said['exact']} with the exact depth-2 value. It changes by {oracle} with a rule that knows the"
+        f" truth, and by {said['mean']} with the bin of the mean. A decision by search costs"
+        f" {cost['pomcp'] / cost['mode']:.0f} times one by counting."
     )
     return "\n".join(textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)) + "\n"
 
