@@ -32,8 +32,8 @@ def buys(page: str) -> str:
         f" target 2 less often than the search, and in {most} more often. In the others the interval of the difference"
         f" holds 0. The largest difference is {largest():.4f}. At the scenario's own setting"
         f" ({OWN['fidelity']}, {own['mode']['pairs']} seeds) it is {said['mode']}. There the most probable bin is"
-        f" provably the best for {min(proved):.1f} % of its decisions, as far as two looks go. Compared with the search, P_D"
-        f" changes by {said['exact']} with the exact depth-2 value. It changes by {oracle} with a rule that knows the"
+        f" provably the best for {min(proved):.1f} % of its decisions, as far as two looks go. Compared with the"
+        f" search, P_D changes by {said['exact']} with the exact depth-2 value. It changes by {oracle} with a rule that knows the"
         f" truth, and by {said['mean']} with the bin of the mean. A decision by search costs"
         f" {cost['pomcp'] / cost['mode']:.0f} times one by counting."
     )
