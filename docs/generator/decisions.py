@@ -33,8 +33,8 @@ def buys(page: str) -> str:
         f" holds 0. The largest difference is {largest():.4f}. At the scenario's own setting"
         f" ({OWN['fidelity']}, {own['mode']['pairs']} seeds) it is {said['mode']}. There the most probable bin is"
         f" provably the best for {min(proved):.1f} % of its decisions, as far as two looks go. Compared with the"
-        f" search, P_D changes by {said['exact']} with the exact depth-2 value. It changes by {oracle} with a rule that knows the"
-        f" truth, and by {said['mean']} with the bin of the mean. A decision by search costs"
+        f" search, P_D changes by {said['exact']} with the exact depth-2 value. It changes by {oracle} with a rule"
+        f" that knows the truth, and by {said['mean']} with the bin of the mean. A decision by search costs"
         f" {cost['pomcp'] / cost['mode']:.0f} times one by counting."
     )
     return "\n".join(textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)) + "\n"
