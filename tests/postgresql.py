@@ -1,5 +1,6 @@
 """A PostgreSQL server of the tests, on a socket in a folder of its own; Debian's package `postgresql` has it."""
 
+import atexit
 import os
 import pwd
 import shutil
@@ -8,6 +9,7 @@ import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from copy import copy
+from functools import cache
 from itertools import count
 from pathlib import Path
 
@@ -31,13 +33,11 @@ class Server:
     """A server, with one database."""
 
     def __init__(self, folder: Path, programs: Path) -> None:
-        self._folder, self._programs = folder, programs
-        self._user: str | None = None
-        if os.geteuid() == 0:  # as which no server runs
-            self._user = next(name for name in ("postgres", "nobody") if _is_there(name))
+        self._folder, self._programs, self._user = folder, programs, _user()
+        if self._user is not None:
             shutil.chown(folder, self._user)
         self._schemas = count()
-        self._run("initdb", "-A", "trust", "-U", "radar", "-E", "UTF8", "--no-locale", "-N", "-k")
+        subprocess.run(["cp", "-a", _made(programs) / "data", folder], check=True)
         with (folder / "data" / "postgresql.conf").open("a") as file:
             file.writelines(f"{name} = {value}\n" for name, value in _FAST.items())
             file.write(f"unix_socket_directories = '{folder}'\n")
@@ -127,21 +127,33 @@ class Server:
         return f"postgresql://radar@/postgres?host={hosts}{writable}&schema={name}"
 
     def _run(self, program: str, *arguments: str) -> None:
-        asked = [str(self._programs / program), "-D", str(self._folder / "data"), *arguments]
-        quiet = subprocess.DEVNULL
-        group = None if self._user is None else pwd.getpwnam(self._user).pw_gid
-        groups = None if group is None else [group]
-        owner = subprocess.Popen(
-            asked,
-            cwd=self._folder,
-            stdin=quiet,
-            stdout=quiet,
-            stderr=quiet,
-            user=self._user,
-            group=group,
-            extra_groups=groups,
-        )
-        assert owner.wait() == 0, asked
+        _run(self._programs / program, self._folder, self._user, *arguments)
+
+
+def _run(program: Path, folder: Path, user: str | None, *arguments: str) -> None:
+    asked, quiet = [str(program), "-D", str(folder / "data"), *arguments], subprocess.DEVNULL
+    group = None if user is None else pwd.getpwnam(user).pw_gid
+    groups = None if group is None else [group]
+    owner = subprocess.Popen(
+        asked, cwd=folder, stdin=quiet, stdout=quiet, stderr=quiet, user=user, group=group, extra_groups=groups
+    )
+    assert owner.wait() == 0, asked
+
+
+@cache
+def _made(programs: Path) -> Path:
+    """A folder with the data of a server that was never started, which takes seconds to make and a moment to copy."""
+    folder, user = Path(tempfile.mkdtemp(prefix="pg-made-")), _user()
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    if user is not None:
+        shutil.chown(folder, user)
+    _run(programs / "initdb", folder, user, "-A", "trust", "-U", "radar", "-E", "UTF8", "--no-locale", "-N", "-k")
+    return folder
+
+
+def _user() -> str | None:
+    """Whom a server runs as: root is none that it accepts."""
+    return next(name for name in ("postgres", "nobody") if _is_there(name)) if os.geteuid() == 0 else None
 
 
 def _is_there(name: str) -> bool:
