@@ -51,6 +51,11 @@ class ServedMetrics(MetricsCore):
         super().close()
 
 
+def _is_no_cancellation(record: logging.LogRecord) -> bool:
+    """Not of an answer that was cut off because the server closes, which uvicorn takes for an error of the program."""
+    return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
+
+
 class Server:
     """Serves on a socket, in a thread with an event loop of its own."""
 
@@ -111,6 +116,7 @@ class Server:
             h11_max_incomplete_event_size=MAX_HEAD,
             timeout_graceful_shutdown=1,
         )
+        logging.getLogger("uvicorn.error").addFilter(_is_no_cancellation)
         with listener:
             self._serving = app, uvicorn.Server(config)
             if not self._is_closed:

@@ -261,6 +261,31 @@ def test_streams_beyond_the_limit_are_refused(live: _Live, monkeypatch: pytest.M
         assert again.status_code == 200
 
 
+def test_a_stream_that_is_cut_off_when_a_server_closes_is_no_error(
+    live: _Live, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """On a busy machine it may not notice in time, and uvicorn cancels it."""
+    live.until(3)
+    assert live.server._serving is not None
+    feed, is_stuck = live.server._serving[0].state.feed, threading.Event()
+    state = feed.state
+
+    async def stuck(run: str) -> Any:
+        if is_stuck.is_set():
+            await asyncio.sleep(30.0)
+        return await state(run)
+
+    monkeypatch.setattr(feed, "state", stuck)
+    with httpx.stream("GET", f"{live.url}{RUNS}/r/events", timeout=30.0) as answered:
+        lines = answered.iter_lines()
+        next(lines)
+        is_stuck.set()
+        time.sleep(0.5)  # until it asks once more
+        live.server.close()
+    assert "timeout graceful shutdown exceeded" in caplog.text  # it was cut off
+    assert [record for record in caplog.records if record.exc_info] == []
+
+
 def test_a_server_closes_at_once_with_streams_open(live: _Live) -> None:
     live.until(3)
     ended = threading.Event()
