@@ -110,7 +110,10 @@ def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:
     elif (differs := _difference(there, asked)) is not None:
         return f"another campaign: {differs}; name another store or remove this one"
     elif not resume:
-        return f"{done['n']} of the {len(campaign.starts())} runs of this campaign; add --resume to go on"
+        n, cure = len(campaign.starts()), "go on"
+        if done["n"] == n:
+            cure = "see its tables again"
+        return f"{done['n']} of the {n} runs of this campaign; add --resume to {cure}"
     return None
 
 

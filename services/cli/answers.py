@@ -300,7 +300,7 @@ def feed(
         str | None,
         typer.Option(
             metavar="LAT,LON,HEIGHT,BEARING",
-            help="Where the radar stands and looks, degrees and m, in place of the scenario's [site].",
+            help="Where the radar stands and looks, degrees and m, in place of the scenario's `site`.",
         ),
     ] = None,
     categories: Annotated[

@@ -1,4 +1,5 @@
-"""The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
+"""The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted. Of a
+service: 4 another one took its role over, 5 the router does not hear it any more."""
 
 import sys
 import uuid

@@ -86,23 +86,26 @@ def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
     while len(shown) > 1 and not _fits(shown, width, gap=1):
         shown.pop()
     # A name and its value stay together: a no-break space is none to textwrap.
-    notes = [("all rows:", [f"{name}\xa0{value or '-'}" for name, value in same.items()])]
+    notes = [("all rows:", [f"{name}\xa0{value or '-'}" for name, value in same])]
     notes += [("left out:", [column.name for column in columns[len(shown) :]])]
     remedy = remedy or f"; a window of {needed} characters, or COLUMNS={needed}, shows them"
     above, below = (
-        [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {', '.join(words)}{end}", width) if words]
+        [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {'; '.join(words)}{end}", width) if words]
         for (head, words), end in zip(notes, ("", remedy), strict=True)
     )
     return [*title, *above, *_grid(table, shown, width), *below]
 
 
-def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], dict[str, str]]:
-    """Columns that stay, and name and value of those that are the same in all rows: as many as must go, in order."""
-    left, same = list(columns), dict[str, str]()
+def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], list[tuple[str, str]]]:
+    """Columns that stay, and name and value of those that are the same in all rows: as many as must go, in order.
+
+    Several may have the same name, as that of an interval.
+    """
+    left, same = list(columns), list[tuple[str, str]]()
     for column in columns:
         if not _fits(left, width, gap=1) and len(set(column.cells)) == 1 and len(left) > 1:
             left.remove(column)
-            same[column.name] = column.cells[0]
+            same.append((column.name, column.cells[0]))
     return left, same
 
 

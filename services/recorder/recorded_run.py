@@ -39,6 +39,7 @@ REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 # before, and twice as long each time. A planner that only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
 OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
+UNPLANNED = 4  # times as long, before its first plan, until it is said of a planner: it may still be loading
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 ASK_TICKS = 3  # in real time: from a request for a scan to the next
 MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
@@ -93,6 +94,7 @@ class RecordedRun:
         self._overdue_plans = OverduePlans(self.pacing)
         self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
         self._is_resumed = resumed
+        self._has_plan = False  # any has come
         self.has_news = False  # a message of dwell k or later has come since the last tick
         self.wants_repeat = False  # its checkpoint is to be said again, though nothing is asked for
         self._is_shared = False  # others go on
@@ -134,7 +136,7 @@ class RecordedRun:
         """Note which planners could bring the plans that are overdue, as far as none says so of another; whether that
         is news.
         """
-        if not self._overdue:
+        if not self._overdue or (not self._has_plan and self._inactive < UNPLANNED * _OVERDUE_TICKS):
             return False
         able = [name for name in planners if any(may_plan(name, track) for track in self._overdue)]
         tracks = _listed([str(track + 1) for track in self._overdue])
@@ -180,6 +182,7 @@ class RecordedRun:
             case Waveform():
                 dwell.has_waveform = True
             case Plan():
+                self._has_plan = True
                 dwell.plans.add(message.target)
                 if message.target not in self._plans or message.k > self._plans[message.target].k:
                     self._plans[message.target] = message

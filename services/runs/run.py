@@ -182,7 +182,7 @@ def progress(ask: Ask, start: RunStart, before: Progress | None = None) -> Progr
         targets,
         row["status"] == "complete",
         row["confirmed"],
-        row["reason"] or "",
+        row["reason"] if row["status"] == "running" else "",
         row["fault"] or "",
     )
 

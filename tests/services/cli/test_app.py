@@ -197,6 +197,22 @@ def test_run_prints_a_table_per_target() -> None:
     assert all(word in done.stdout for word in ("target 1", "target 2", "P_D", "RMSE", "all 5", "digest"))
 
 
+def test_an_interrupt_while_a_command_still_loads_is_one() -> None:
+    """It takes half a second, and was a traceback of imports."""
+    code = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(name, *_):\n"
+        "        if name == 'cogradar.services.cli.console':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted)\n"
+        "from cogradar.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
 @pytest.mark.zenoh
 def test_metrics_answers_during_a_run(process_names: Callable[[], list[str]]) -> None:
     run = subprocess.Popen(

@@ -122,6 +122,14 @@ def test_what_is_the_same_in_all_rows_goes_into_one_line_if_it_must() -> None:
     ]
 
 
+def test_two_of_one_name_that_are_the_same_in_all_rows_keep_their_values() -> None:
+    """As intervals of several figures have: the last one's stood at the place of the first."""
+    columns = [Column(name, "{" + key + "}") for name, key in (("P_D", "a"), ("low", "b"), ("lost", "c"), ("low", "d"))]
+    rows = [{"a": 1.0, "b": 0.342, "c": 0, "d": 0.0, "run": 30 * f"{i}"} for i in range(2)]
+    lines = _lines(Table("", (*columns, Column("run", "{run}")), rows), 30)
+    assert " ".join(lines[:2]) == "all rows: P_D 1.0; low 0.342; lost 0; low 0.0"
+
+
 def test_what_has_no_room_is_left_out_from_the_end_and_named() -> None:
     rows = [{"a": f"{i}" * 10, "b": f"{i}" * 4, "c_d": f"{i}" * 12} for i in range(2)]
     assert _lines(_table(rows, "a", "b", "c_d"), 18) == [

@@ -16,7 +16,7 @@ import pytest
 from cogradar.services import kernels
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
-from cogradar.services.recorder.recorded_run import HINDERED_S, OVERDUE_S
+from cogradar.services.recorder.recorded_run import HINDERED_S, OVERDUE_S, UNPLANNED
 from cogradar.services.runs import cluster, in_process
 from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.build import build
@@ -83,7 +83,10 @@ def test_it_names_the_planners(n: int, said: str, tmp_path: Path) -> None:
         core.handle(Membership(Role.PLANNER, tuple(f"p{i}" for i in range(n))))
         for message in (sent[0], scans(sent)[0]):
             core.handle(message)
-        for tick in range(OVERDUE_TICKS + 2):
+        for tick in range(2 * OVERDUE_TICKS):
+            core.handle(Tick(tick / 4, drained=True))
+        assert journal.rows("SELECT reason FROM run")[0][0] == ""  # before its first plan a planner may be loading
+        for tick in range((UNPLANNED - 2) * OVERDUE_TICKS + 2):
             core.handle(Tick(tick / 4, drained=True))
         ((reason,),) = journal.rows("SELECT reason FROM run")
         assert reason == f"no plans of track 1, 2; planners present: {said}"
