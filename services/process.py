@@ -23,13 +23,12 @@ from cogradar.services.topology import SERVICES, Service, Start
 from cogradar.shared.protocol.build import build, difference
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.faults import printable, printable_lines
-from cogradar.shared.wire.link import Link
 from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
 from cogradar.shared.wire.queries import Claim, alive, names_alive
 from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
-from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
+from cogradar.shared.wire.session import BadConfig, Link, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds

@@ -99,7 +99,7 @@ def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
 def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], list[tuple[str, str]]]:
     """Columns that stay, and name and value of those that are the same in all rows: as many as must go, in order.
 
-    Several may have the same name, as that of an interval.
+    Several may have the same name: intervals have.
     """
     left, same = list(columns), list[tuple[str, str]]()
     for column in columns:

@@ -49,7 +49,7 @@ def transport(
         return Stdout()
     found = _ADDRESS.fullmatch(out)
     if (out.startswith(("udp:", "tcp:")) or "://" in out) and (found is None or not 0 < int(found[4]) < 65536):
-        raise BadInput(f"--out {out}: must be udp://HOST:PORT, tcp://HOST:PORT, a folder, or - for standard output")
+        raise BadInput(f"--out {out}: must be udp://HOST:PORT, tcp://HOST:PORT (port 1 to 65535), a folder, or -")
     if found is None:
         if not has_files:
             raise BadInput(f"--out {out}: this format goes to udp://HOST:PORT, tcp://HOST:PORT, or - alone")

@@ -62,7 +62,7 @@ def listen(text: str) -> socket.socket | None:
         return socket.socket(fileno=int(parent[1]))
     place = _PLACE.fullmatch(text)
     if place is None or int(place[3]) > 65535:
-        raise BadInput(f"--http {text}: must be HOST:PORT, such as {DEFAULT}, or off")
+        raise BadInput(f"--http {text}: must be HOST:PORT, such as {DEFAULT}, with a port up to 65535, or off")
     host, first = place[1] or place[2], int(place[3])
     for port in range(first, min(first + PORTS, 65536)):
         try:

@@ -31,12 +31,11 @@ from cogradar.shared.protocol.topics import (
     TOPICS,
     Role,
 )
-from cogradar.shared.wire import link
+from cogradar.shared.wire import session as wire
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
-from cogradar.shared.wire.link import Link
 from cogradar.shared.wire.queries import alive, names_alive
-from cogradar.shared.wire.session import CONFIG_VARIABLE
+from cogradar.shared.wire.session import CONFIG_VARIABLE, Link
 from tests.samples import plan, sample
 from tests.services.certs.conftest import LIMITED, Secured, until
 from tests.services.loop import checkpoint, play, scans, smoke_start
@@ -128,7 +127,7 @@ def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured
 
 
 def test_each_process_is_told_that_the_router_sees_it(secured: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link, "EVERY_S", 0.1)
+    monkeypatch.setattr(wire, "ASK_S", 0.1)
     processes = set(HOLDERS) - {OBSERVER, COMMANDER, FRONT_END, Role.ROUTER}
     with _sessions(secured) as sessions:
         watched = {}

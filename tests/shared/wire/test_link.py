@@ -12,9 +12,8 @@ import zenoh
 from cogradar.services.errors import Unheard
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.topics import ALIVE, PROTOCOL, Role
-from cogradar.shared.wire import link, session
-from cogradar.shared.wire.link import Link
-from cogradar.shared.wire.session import open_session, run_router
+from cogradar.shared.wire import session
+from cogradar.shared.wire.session import Link, open_session, run_router
 
 pytestmark = pytest.mark.zenoh
 KEY = ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.ALLOCATOR, name="a")
@@ -23,8 +22,8 @@ WITHIN_S = 20.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link, "EVERY_S", 0.1)
-    monkeypatch.setattr(link, "UNHEARD", 10)
+    monkeypatch.setattr(session, "ASK_S", 0.1)
+    monkeypatch.setattr(session, "UNHEARD", 10)
 
 
 @pytest.fixture
@@ -74,7 +73,7 @@ def test_the_token_of_another_process_is_none_of_this_one(connected: zenoh.Sessi
 
 
 def test_a_router_that_is_none_of_ours_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "hear", lambda _: None)
+    monkeypatch.setattr(session, "_hear", lambda _: None)
     stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{session.free_port()}"
     thread = threading.Thread(target=run_router, args=(endpoint, stop))
     thread.start()
@@ -121,7 +120,7 @@ def test_a_process_that_is_not_heard_ends_and_says_why(router: str, monkeypatch:
                 assert time.monotonic() < until_s
                 time.sleep(0.1)
             time.sleep(3.0 * 2.0)  # it asks every two seconds, and was told that it is seen
-            monkeypatch.setattr(link, "SEEN", link.UNSEEN)  # of this router
+            monkeypatch.setattr(session, "SEEN", session.UNSEEN)  # of this router
             _, said = process.communicate(timeout=60.0)
         finally:
             process.kill()
