@@ -107,7 +107,6 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
             compile_all(log.info, stop)
             if service.role is Role.PLANNER:
                 load_planner()
-            closing.enter_context(say_late())
         if service.yields and hasattr(os, "nice"):
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
         core = _made(service.core, replace(start, check=check))
@@ -132,13 +131,15 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
 
             core.gather = partial(gather, session)
         if isinstance(core, Beginning):
-            core.has_recorder = lambda: bool(names_alive(session, build(), Role.RECORDER))
+            core.has_recorder = lambda: bool(names_alive(session, "*", Role.RECORDER))  # an operator is heard by all
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus, validity))
         gc.freeze()  # what was loaded since, too
         log.info("connected to %s", connect)
         heartbeat = _both(
             _heard(Link(session, service.role, start.name), start.name), Heartbeat(bus.is_connected, core)
         )
+        if service.kernels:
+            closing.enter_context(say_late())
         serve(core, bus, stop, bus.meter, _beat(_both(heartbeat, validity.tell), service.role, claim))
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)

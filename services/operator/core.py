@@ -16,6 +16,7 @@ from cogradar.shared.scenario.scenario import Scenario
 
 RESEND_TICKS = 8  # without a checkpoint of the run: its start was lost, or its end, or the journal that held it
 LISTEN_TICKS = 12  # before the first run: one that goes on has a checkpoint each second at least
+ASK_TICKS = 4  # from one question whether a recorder is there to the next
 GONE_TICKS = 240  # without a checkpoint of a run that was found: a minute, in which a recorder may be started again
 MAX_PAUSE_TICKS = 1200  # before the next run, some five minutes; doubled by each run that fails
 
@@ -82,7 +83,8 @@ class OperatorCore:
 
     def _tick(self, scenario: Scenario) -> Sequence[Message]:
         self._paused += 1
-        if not self._run and not self.has_recorder():
+        is_due = self._paused % ASK_TICKS == 0 or self._paused >= self._pause
+        if not self._run and is_due and not self.has_recorder():
             self._paused = 0
         if not self._run and self._paused < self._pause:
             return ()

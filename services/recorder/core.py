@@ -325,7 +325,10 @@ class RecorderCore:
                 run.digest.advance(self._journal, run.k)
             if run.end is not None and run.is_over:
                 # The digest of a part of a run is not needed.
-                is_part = run.end.status == "stopped" or self._spans[run.start.run].first_k > 0
+                span = self._spans[run.start.run]
+                is_part = run.end.status == "stopped" or span.first_k > 0
+                while not (is_part or span.is_counted):
+                    span.count(self._journal, run.start.run)
                 return self._finish(run, run.end, "" if is_part else self._digest(run))
         except (Unreadable, Damaged) as error:
             told = self._end_damaged(run.start.run, error)
@@ -392,15 +395,20 @@ class RecorderCore:
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()
-        self._count_some()
+        answers += self._count_some()
         if self._has_waited():
             answers += self._commit()
         return [*answers, *self._repeated()]
 
-    def _count_some(self) -> None:
-        """Go on counting the messages of a long run that was reopened. Raises Damaged."""
+    def _count_some(self) -> Sequence[Message]:
+        """Go on counting the messages of a long run that was reopened, which is set aside if some are missing."""
         for name in [name for name, span in self._spans.items() if not span.is_counted][:1]:
-            self._spans[name].count(self._journal, name)
+            try:
+                self._spans[name].count(self._journal, name)
+            except Damaged as error:
+                told = self._end_damaged(name, error)
+                return [*self._commit(), *told]
+        return ()
 
     def _has_waited(self) -> bool:
         """Whether rows have been uncommitted for long enough, after one more tick."""

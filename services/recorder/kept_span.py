@@ -19,8 +19,8 @@ from cogradar.shared.scenario.limits import NO_END, SECONDS_PER_HOUR
 
 ALWAYS_DWELLS = 1024  # acknowledged ones that are kept at least: twice what a process keeps of a run
 AT_A_TIME = 64  # dwells that are cut with a checkpoint, some milliseconds: more than it acknowledges
-COUNTED_DWELLS = 512  # at a time,
-COUNTED_AT_ONCE = 20_000  # ... but so many messages when a run is reopened
+COUNTED = 5_000  # messages at a time, some,
+COUNTED_AT_ONCE = 20_000  # ... but so many when a run is reopened
 
 
 @dataclass
@@ -58,8 +58,11 @@ class KeptSpan:
 
     def count(self, journal: Journal, run: str) -> None:
         """Count the messages of some dwells more, from the newest on. Raises Damaged in the end if some are missing."""
-        before_k, self.counted_k = self.counted_k, max(self.counted_k - COUNTED_DWELLS, self.first_k)
-        n_message, n_byte = journal.extent(run, self.counted_k, before_k)
+        acknowledged_k, n_recorded = self.recorded
+        n_dwell = max(COUNTED * (acknowledged_k - self.first_k) // max(n_recorded, 1), 1)
+        before_k, self.counted_k = self.counted_k, max(self.counted_k - n_dwell, self.first_k)
+        # What was cut and is there all the same is too many.
+        n_message, n_byte = journal.extent(run, 0 if self.is_counted else self.counted_k, before_k)
         self.n_counted, self.n_byte = self.n_counted + n_message, self.n_byte + n_byte
         if self.is_counted and self.n_counted != self.recorded[1]:
             raise missing(journal, run, self.n_counted, *self.recorded)

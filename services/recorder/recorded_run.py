@@ -95,6 +95,7 @@ class RecordedRun:
         self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
         self._is_resumed = resumed
         self._has_plan = False  # any has come
+        self._awaited_at: int | None = None  # tick since which one is awaited
         self.has_news = False  # a message of dwell k or later has come since the last tick
         self.wants_repeat = False  # its checkpoint is to be said again, though nothing is asked for
         self._is_shared = False  # others go on
@@ -136,11 +137,16 @@ class RecordedRun:
         """Note which planners could bring the plans that are overdue, as far as none says so of another; whether that
         is news.
         """
-        if not self._overdue or (not self._has_plan and self._inactive < UNPLANNED * _OVERDUE_TICKS):
+        if not self._overdue or not self._is_awaited():
             return False
         able = [name for name in planners if any(may_plan(name, track) for track in self._overdue)]
         tracks = _listed([str(track + 1) for track in self._overdue])
         return self.hinder("", f"no plans of track {tracks}; planners present: {_listed(able) or 'none'}")
+
+    def _is_awaited(self) -> bool:
+        """Whether there were plans, or the first one is awaited for so long that no planner is still loading."""
+        since = self._ticks if self._awaited_at is None else self._awaited_at
+        return self._has_plan or self._ticks - since >= UNPLANNED * _OVERDUE_TICKS
 
     def forgive(self) -> bool:
         """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""
@@ -177,6 +183,8 @@ class RecordedRun:
                 dwell.born_ks = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
                 dwell.tracks = frozenset(dwell.born_ks)
                 self._overdue_plans.hear_scan(message.k, dwell.tracks)
+                if dwell.tracks and self._awaited_at is None:
+                    self._awaited_at = self._ticks
             case Truth():
                 dwell.has_truth = True
             case Waveform():

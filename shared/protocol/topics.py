@@ -246,7 +246,12 @@ QUERYABLES = (
     Queryable(QUERY, (_M,), "application/json", "what is known of runs"),
     Queryable(TIMESTAMPS, tuple(Role), "application/json", "when a process received and sent its newest messages"),
     Queryable(EXPOSITION, tuple(Role), "text/plain;version=0.0.4", "metrics of a process, as Prometheus reads them"),
-    Queryable(LINK, (Role.ROUTER,), "text/plain", "whether a router sees the process of this name: seen or unseen"),
+    Queryable(
+        LINK,
+        (Role.ROUTER,),
+        "text/plain",
+        "whether it sees a process: seen or unseen, and its ID",
+    ),
     *EXCHANGES,
 )
 

@@ -32,9 +32,10 @@ BEAT_S = 1.0  # of a router, which has no ticks
 RETRY_S = 0.1
 PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
-ASK_S = 2.0  # from one question whether a router sees a process to the next, which has so long to be answered
-UNHEARD = 8  # questions in a row in vain, and the link is taken for broken: a busy router may miss some
-SEEN, UNSEEN = b"seen", b"unseen"
+ASK_S = 2.0  # from one question whether a router sees a process to the next
+UNSEEN_ASKS = 8  # in a row with the answer that it does not, and the link is taken for broken
+SILENT_ASKS = 24  # in a row without an answer: a router may be busy, and a link slow
+SEEN, UNSEEN = "seen", "unseen"  # and the router that says so
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # the file of every session of a process, and of those that it starts
 ENCRYPTED = ("tls/", "quic/")
 TLS = "transport/link/tls"  # where Zenoh's settings have certificates
@@ -112,9 +113,9 @@ class Link:
         self._session, self._key = session, LINK.format(role=role, name=name)
         self._due_s = 0.0
         self._routers = frozenset[str]()
-        self._is_seen = False  # since the last question
-        self._is_known = False  # the router has said so once: another one than ours never does
-        self._n_unheard = 0
+        self._said: set[str] = set()  # since the last question
+        self._known = ""  # the router that said last that it sees the process: a router of others never does
+        self._n_unseen = self._n_silent = 0
 
     def is_broken(self) -> bool:
         """Ask, if it is time; whether many questions in a row were in vain while the link to a router was up."""
@@ -123,16 +124,25 @@ class Link:
             return False
         self._due_s = now_s + ASK_S
         before, self._routers = self._routers, frozenset(map(str, self._session.info.routers_zid()))
-        is_same = bool(before) and self._routers == before
-        self._n_unheard = self._n_unheard + 1 if self._is_known and is_same and not self._is_seen else 0
-        self._is_seen = False
-        if self._routers and self._n_unheard < UNHEARD:
-            self._session.get(self._key, zenoh.handlers.Callback(self._on_reply, indirect=False), timeout=ASK_S)
-        return self._n_unheard >= UNHEARD
+        said, self._said = self._said, set()
+        if SEEN in said or not self._known or not before or self._routers != before:
+            self._n_unseen = self._n_silent = 0
+        elif UNSEEN in said:
+            self._n_unseen += 1
+        elif self._known in self._routers:
+            self._n_silent += 1
+        if self._routers:  # a slow answer is one, too: some questions are under way at a time
+            answer = zenoh.handlers.Callback(self._on_reply, indirect=False)
+            self._session.get(self._key, answer, timeout=UNSEEN_ASKS * ASK_S, express=True)
+        return self._n_unseen >= UNSEEN_ASKS or self._n_silent >= SILENT_ASKS
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None and reply.ok.payload.to_bytes() == SEEN:
-            self._is_seen = self._is_known = True
+        if reply.ok is None:
+            return
+        word, _, router = reply.ok.payload.to_string().partition(" ")
+        self._said.add(word)
+        if word == SEEN:
+            self._known = router
 
 
 def listen_session(endpoint: str, *, shares_memory: bool) -> zenoh.Session:
@@ -197,8 +207,11 @@ def _hear(session: zenoh.Session) -> None:
     def on_query(query: zenoh.Query) -> None:
         with query:
             role, name = str(query.key_expr).split("/")[-2:]
+            if "*" in f"{role}{name}":
+                return  # it is asked for one process
             is_seen = any(key.endswith(f"/{role}/{name}") for key in list(seen))
-            query.reply(query.key_expr, SEEN if is_seen else UNSEEN, encoding=zenoh.Encoding.TEXT_PLAIN)
+            answer = f"{SEEN if is_seen else UNSEEN} {session.info.zid()}"
+            query.reply(query.key_expr, answer, encoding=zenoh.Encoding.TEXT_PLAIN)
 
     every = {"protocol": "*", "build": "*", "role": "*", "name": "*"}
     session.liveliness().declare_subscriber(ALIVE.format(**every), on_token, history=True)

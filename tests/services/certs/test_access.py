@@ -139,7 +139,7 @@ def test_each_process_is_told_that_the_router_sees_it(secured: Secured, monkeypa
 
 
 def _all_known(watched: dict[str, tuple[Any, Link]]) -> bool:
-    return all(one._is_known for _, one in watched.values())
+    return all(one._known for _, one in watched.values())
 
 
 def _key(form: str, role: str, name: str) -> str:

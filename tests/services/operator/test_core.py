@@ -4,7 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -20,8 +20,10 @@ from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import names_alive
+from cogradar.shared.wire.runner import TICK_S
 from cogradar.shared.wire.session import open_session
-from cogradar.shared.wire.zenoh_bus import ZenohBus
+from cogradar.shared.wire.zenoh_bus import Listener
 from tests.samples import sample
 from tests.services.loop import SMOKE
 
@@ -162,20 +164,21 @@ def test_without_a_scenario_it_idles() -> None:
 def test_the_service_begins_its_run_when_a_recorder_is_there(router: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cogradar", "service", "operator", "--connect", router]
     session = open_session([router], 10.0, lambda: None)
-    bus = ZenohBus(session, Role.OPERATOR, "reader")  # reads what a recorder says
-    with closing(bus), subprocess.Popen([*command, "--scenario", "smoke", "--set", "dwells=unlimited"]) as operator:
+    heard, deadline = Listener(session, [RunStart]), time.monotonic() + 60.0
+    with subprocess.Popen([*command, "--scenario", "smoke", "--set", "dwells=unlimited"]) as operator:
         try:
-            assert all(bus.receive(0.25) is None for _ in range(2 * LISTEN_TICKS))
+            while not names_alive(session, "*", Role.OPERATOR):
+                assert time.monotonic() < deadline
+            assert heard.receive(2.0 * LISTEN_TICKS * TICK_S) == []
             recorder = [sys.executable, "-m", "cogradar", "service", "recorder", "--store", str(tmp_path / "s.db")]
             with subprocess.Popen([*recorder, "--connect", router]) as recording:
-                deadline = time.monotonic() + 30.0
-                while (begun := bus.receive(0.25)) is None:
-                    assert time.monotonic() < deadline
+                begun = heard.receive(60.0)
                 recording.terminate()
-            assert isinstance(begun, Checkpoint)
-            assert (begun.k, begun.dwells) == (0, NO_END)
+            assert [(type(message), getattr(message, "dwells", 0)) for message in begun] == [(RunStart, NO_END)]
         finally:
             operator.terminate()
+    heard.close()
+    session.close()
 
 
 @pytest.mark.zenoh

@@ -10,13 +10,14 @@ import pytest
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder import core as recorder
 from cogradar.services.recorder import kept_span
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal, Retention
 from cogradar.services.recorder.store.seal import QUARANTINED
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MIXTURE
-from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunEnd, Waveform
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.limits import NO_END
@@ -125,17 +126,15 @@ def _again(journal: Journal, keep: Retention) -> RecorderCore:
 def test_a_long_run_goes_on_before_its_messages_are_counted_and_is_cut_afterwards(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(kept_span, "COUNTED_DWELLS", 20)
+    monkeypatch.setattr(kept_span, "COUNTED", 100)
     monkeypatch.setattr(kept_span, "COUNTED_AT_ONCE", 50)
     journal, core = _begun(NO_END, Retention())
     _play(core, 0, 170)
     _snap(core, 0, 140)
-    journal.write(
-        "DELETE FROM message WHERE run = 'r' AND k = 169 AND topic = 'waveform'"
-    )  # the last one is incomplete
+    journal.write("DELETE FROM message WHERE run = 'r' AND k = 169 AND topic = 'waveform'")
     core = _again(journal, HOURS)
     span = core._spans["r"]
-    assert 0 < span.n_counted < 100
+    assert 0 < span.n_counted < 200
     (newest,) = (message for message in _sent(169) if isinstance(message, Waveform))
     for message in (newest, *_sent(170)):
         assert list(core.handle(message)) == []
@@ -155,7 +154,7 @@ def test_messages_that_are_gone_are_missed_by_a_recorder_that_goes_on(
     most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At once in a short run; in a long one when it has counted them, some at each tick."""
-    monkeypatch.setattr(kept_span, "COUNTED_DWELLS", 20)
+    monkeypatch.setattr(kept_span, "COUNTED", 100)
     monkeypatch.setattr(kept_span, "COUNTED_AT_ONCE", most)
     journal, core = _begun(NO_END, Retention())
     _play(core, 0, 170)
@@ -169,6 +168,24 @@ def test_messages_that_are_gone_are_missed_by_a_recorder_that_goes_on(
     assert status == QUARANTINED
     assert "messages of the dwells below 1" in reason
     assert [message.ended for message in told if isinstance(message, Checkpoint)][-1:] == [True] * is_long
+
+
+def test_a_long_run_that_ends_before_all_is_counted_gets_no_digest_of_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept_span, "COUNTED", 100)
+    monkeypatch.setattr(kept_span, "COUNTED_AT_ONCE", 50)
+    monkeypatch.setattr(recorder, "MOST_COUNTED", 100)
+    journal, core = _begun(175, Retention())
+    _play(core, 0, 170)
+    journal.write("DELETE FROM message WHERE run = 'r' AND k = 7 AND topic = 'truth'")
+    core = _again(journal, Retention())
+    for k in range(170, 175):
+        for message in _sent(k):
+            core.handle(message)
+    core.handle(RunEnd(run="r", k=174, t=175, status="complete", reason=""))
+    for _ in range(4):
+        core.handle(Tick(0.0))
+    ((status, digest),) = journal.rows("SELECT status, digest FROM run")
+    assert (status, digest) == (QUARANTINED, None)
 
 
 def test_a_run_with_an_end_is_kept_whole() -> None:

@@ -8,6 +8,7 @@ from cogradar.services.delivery.pacing import RealTime
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.overdue import FIRST_S, MISSED, WITHIN_S, OverduePlans
+from cogradar.services.recorder.recorded_run import OVERDUE_S, UNPLANNED
 from cogradar.shared.protocol.events import Tick
 from tests.services.births import HERE, THERE, plan, roster, scan, start_of, truth, waveform
 
@@ -91,3 +92,21 @@ def test_what_is_overdue_is_logged_once_while_it_changes(caplog: pytest.LogCaptu
     assert "no plans of track 2; planners present: planner-0" in reasons
     assert "no plans of track 1; planners present: planner-0" in reasons
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [f"r: {reasons[1]}"]
+
+
+def test_before_its_first_plan_a_run_in_real_time_says_so_after_a_while_whoever_is_there() -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    core.planners = []
+    core.handle(start_of(1000, rate_hz=4.0))
+    states, said = {0: HERE, 1: THERE}, dict[str, int]()
+    for k in range(100):
+        tracks = roster({} if k == 0 else states, confirmed=[] if k == 0 else [0, 1])
+        for message in (scan(k, tracks), truth(k, {0: HERE, 1: THERE}), waveform(k, roster(states))):
+            core.handle(message)
+        core.handle(Tick(0.25 * k))
+        ((reason,),) = journal.rows("SELECT reason FROM run")
+        said.setdefault(reason, k)
+    late = "no plans of track 1, 2; planners present: none"
+    assert list(said) == ["", late]
+    assert UNPLANNED * OVERDUE_S <= 0.25 * said[late] <= UNPLANNED * OVERDUE_S + FIRST_S + 1.0

@@ -1,10 +1,13 @@
 """A link that is up and carries nothing is noticed, and its process ends: what starts it again gives it a new one."""
 
+import queue
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 
 import pytest
 import zenoh
@@ -23,7 +26,8 @@ WITHIN_S = 20.0
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "ASK_S", 0.1)
-    monkeypatch.setattr(session, "UNHEARD", 10)
+    monkeypatch.setattr(session, "UNSEEN_ASKS", 10)
+    monkeypatch.setattr(session, "SILENT_ASKS", 20)
 
 
 @pytest.fixture
@@ -50,7 +54,7 @@ def _broken(watched: Link, seconds: float) -> bool:
 
 
 def _known(watched: Link) -> bool:
-    return not watched.is_broken() and watched._is_known
+    return not watched.is_broken() and watched._known != ""
 
 
 def test_a_process_that_the_router_sees_is_heard_and_one_whose_token_it_lost_is_not(connected: zenoh.Session) -> None:
@@ -70,6 +74,79 @@ def test_the_token_of_another_process_is_none_of_this_one(connected: zenoh.Sessi
     own.undeclare()
     assert _broken(watched, WITHIN_S)
     assert len(others) == 3
+
+
+def test_a_router_that_is_silent_is_given_more_time(connected: zenoh.Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    token = connected.liveliness().declare_token(KEY)
+    watched = Link(connected, Role.ALLOCATOR, "a")
+    _until(lambda: _known(watched))
+    for word in ("SEEN", "UNSEEN"):
+        monkeypatch.setattr(session, word, "what this process does not know")
+    assert _broken(watched, WITHIN_S)
+    assert (watched._n_unseen, watched._n_silent) == (0, session.SILENT_ASKS)
+    watched = Link(connected, Role.ALLOCATOR, "a")
+    watched._known = "another router, which answered from behind this one"
+    assert not _broken(watched, 4.0)
+    token.undeclare()
+
+
+def test_a_slow_link_is_none_that_is_broken(router: str) -> None:
+    """Answers take longer than it is from one question to the next."""
+    with _Slow(router) as slow:
+        opened = open_session([slow.endpoint], WITHIN_S, lambda: None)
+        token = opened.liveliness().declare_token(KEY)
+        watched = Link(opened, Role.ALLOCATOR, "a")
+        _until(lambda: _known(watched))
+        slow.delay_s = 0.3
+        assert not _broken(watched, 5.0)
+        token.undeclare()
+        assert _broken(watched, WITHIN_S)
+        opened.close()
+
+
+class _Slow(ExitStack):
+    """An endpoint from which bytes reach the router, and back, so much later."""
+
+    def __init__(self, router: str) -> None:
+        super().__init__()
+        self.delay_s = 0.0
+        self._router = router.removeprefix("tcp/").split(":")
+        self._server = self.enter_context(socket.create_server(("127.0.0.1", 0)))
+        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        self._begin(self._accept)
+
+    def _begin(self, work: Callable[..., None], *given: object) -> None:
+        thread = threading.Thread(target=work, args=given)
+        thread.start()
+        self.callback(thread.join)
+
+    def _accept(self) -> None:
+        self._server.settimeout(WITHIN_S)
+        client, _ = self._server.accept()  # the one session of the test
+        host, port = self._router
+        behind = self.enter_context(socket.create_connection((host, int(port))))
+        self.enter_context(client)
+        for source, target in ((client, behind), (behind, client)):
+            self._begin(self._forward, source, target)
+
+    def _forward(self, source: socket.socket, target: socket.socket) -> None:
+        waiting: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+
+        def send() -> None:
+            with suppress(OSError):
+                while (item := waiting.get())[1]:
+                    time.sleep(max(0.0, item[0] - time.monotonic()))
+                    target.sendall(item[1])
+                target.shutdown(socket.SHUT_WR)
+
+        self._begin(send)
+        found = b"-"
+        while found:
+            try:
+                found = source.recv(65536)
+            except OSError:
+                found = b""
+            waiting.put((time.monotonic() + self.delay_s, found))
 
 
 def test_a_router_that_is_none_of_ours_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
