@@ -31,7 +31,7 @@ PARTS = {
 }
 KILLS = "reliability-kills"
 _OF_SPANS = {"killed": "#D55E00", "track": "#0072B2", "coast": "#E69F00", "missed": "#DDDDDD"}
-POLICIES, SCALE = "decisions-sweep-policies-1", "scaling-scale-1"
+POLICIES, SCALE = "decisions-sweep-policies-2", "scaling-scale-1"
 SPENT = ("emulator", "planner", "allocator", "queues", "transport")  # columns of SCALE
 _OF_PARTS = dict(zip(SPENT, ("#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999"), strict=True))
 
@@ -43,26 +43,27 @@ def rows(table: str) -> list[Row]:
 
 
 def rules() -> Figure:
-    """P_D of the weakest target by rule with its interval, a panel for each way in which targets fly."""
+    """The lowest P_D of a target by rule with its interval, a panel for each way in which targets fly."""
     found = rows(POLICIES)
-    flights = list(dict.fromkeys(row["sigma_s"] for row in found))
+    flights = list(dict.fromkeys(row["sigma_s_km_s2"] for row in found))
     figure = Figure(figsize=(7.2, 2.6), layout="constrained")
     panels = figure.subplots(1, len(flights), sharey=True)
     for axes, sigma in zip(panels, flights, strict=True):
-        for row in (row for row in found if row["sigma_s"] == sigma):
+        for row in (row for row in found if row["sigma_s_km_s2"] == sigma):
             look = FIDELITIES[row["fidelity"]]
             y = RULES.index(row["rule"]) + (0.12 if row["fidelity"] == "paper" else -0.12)
-            middle, low, high = (float(row[f"P_D of target 2{end}"]) for end in ("", ", 95 %, low", ", 95 %, high"))
+            middle, low, high = (float(row[f"P_D{end}"]) for end in ("", ", 95 %, runs, low", ", 95 %, runs, high"))
             axes.plot([low, high], [y, y], color=look.colour, linewidth=1.3)
             axes.plot(middle, y, "o", color=look.colour, markersize=3.5)
         axes.set_title(f"$\\sigma_s$ = {sigma} km/s²")
         axes.set_xlim(0.0, 1.02)
-        axes.set_xlabel("$P_D$ of target 2")
+        axes.set_xlabel("lowest $P_D$ of a target")
     panels[0].set_yticks(range(len(RULES)), [rule.partition(" (")[0] for rule in RULES])
     handles = [
         Line2D([], [], color=look.colour, marker="o", markersize=3.5, label=name) for name, look in FIDELITIES.items()
     ]
-    figure.legend(handles=handles, title="mean and 95 % interval over 100 runs", loc="outside upper center", ncols=2)
+    title = f"mean and 95 % interval over {found[0]['runs']} runs"
+    figure.legend(handles=handles, title=title, loc="outside upper center", ncols=2)
     return figure
 
 

@@ -39,7 +39,7 @@ def test_marks_are_the_numbers_of_the_tables() -> None:
         for line in axes.lines
         if line.get_marker() == "o"
     ]
-    assert sorted(marks) == sorted(float(row["P_D of target 2"]) for row in figures.rows(figures.POLICIES))
+    assert sorted(marks) == sorted(float(row["P_D"]) for row in figures.rows(figures.POLICIES))
     drawn = figures.dwell().axes[0]
     for text, row in zip(drawn.texts, reversed(figures.rows(figures.SCALE)), strict=True):
         assert text.get_text() == f"{float(row['dwell']):.0f} ms"

@@ -14,9 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 _BLOCK = re.compile(r"<!-- ((?:sweep|report) \S+) -->(.*?)<!-- /\1 -->", re.DOTALL)
 _RUN = re.compile(r"The first of these runs is `cogradar run ([^`]*)`, digest `([0-9a-f]{16})`\.")
 EARLIER = "An earlier program made"  # what a page says of tables that were not made anew: these
-MADE_EARLIER = {
-    "decisions.md": {"policies", "policies-weak"},
-}
+MADE_EARLIER: dict[str, set[str]] = {}
 
 
 class Block(NamedTuple):
