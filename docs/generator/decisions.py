@@ -43,9 +43,8 @@ def buys(page: str) -> str:
     least = sum(float(row[HIGH]) < 0.0 for row in by_mode)
     most = sum(float(row[LOW]) > 0.0 for row in by_mode)
     own = {row["rule"]: row for row in rows(DIFFERENCES[0]) if OWN.items() <= row.items()}
-    setting = {"SNR dB": "+0", "fidelity": OWN["fidelity"], "sigma_s": OWN["sigma_s_km_s2"]}
-    judged = [row for row in rows(JUDGED) if setting.items() <= row.items()]
-    proved = min(100.0 - float(row["open, depth 2"].split()[0]) for row in judged)
+    judged = [row for row in rows(JUDGED) if OWN.items() <= row.items()]
+    proved = min(100.0 - float(row["open, 2 looks"].split()[0]) for row in judged)
     cost = {rule: float(loops) for rule, loops in _COST.findall(page)}
     said = {rule.split()[0]: f"{row['P_D']} [{row[LOW]}, {row[HIGH]}]" for rule, row in own.items()}
     where, n = OWN["fidelity"], own["mode"]["pairs"]
