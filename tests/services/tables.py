@@ -14,7 +14,7 @@ def shown(table: Table, width: int) -> str:
     lines = [str(line) for line in layout(table, width)]
     assert max(map(len, lines)) <= width
     text = "\n".join(lines)
-    words = {form for word in text.split() for form in (word, word.strip(","))}
+    words = {form for word in text.split() for form in (word, word.strip(",;"))}
     for column in table.columns:
         assert all(part in text for part in re.split("[ _]", column.heading)), column.heading
         assert {word for row in table.rows for word in column.cell(row).split()} <= words, column.heading
