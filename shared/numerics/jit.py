@@ -188,37 +188,34 @@ def inlined(function: Callable[P, T]) -> Callable[P, T]:
     return cast(Callable[P, T], register_jitable(inline="always")(function))
 
 
+class _Compiling(event.Listener):  # type: ignore[misc] # numba is not typed
+    """Calls `begin` whenever a function begins to be compiled, and `done` with the last of it and all that it calls."""
+
+    def __init__(self, begin: Callable[[], None], done: Callable[[str, float], None]) -> None:
+        self._begin, self._done = begin, done
+        self._depth, self._begun_s = 0, 0.0
+
+    def on_start(self, _event: Any) -> None:
+        if self._depth == 0:
+            self._begun_s = time.monotonic()
+        self._depth += 1
+        self._begin()
+
+    def on_end(self, ended: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._done(ended.data["dispatcher"].py_func.__qualname__, time.monotonic() - self._begun_s)
+
+
 @contextmanager
 def compiling(check: Callable[[], None]) -> Iterator[None]:
     """Call `check` whenever a function begins to be compiled; it may raise. A kernel with all it calls takes 15 s."""
-
-    class Checking(event.Listener):  # type: ignore[misc] # numba is not typed
-        def on_start(self, _event: Any) -> None:
-            check()
-
-        def on_end(self, _event: Any) -> None:
-            pass
-
-    with event.install_listener("numba:compile", Checking()):
+    with event.install_listener("numba:compile", _Compiling(check, lambda *_: None)):
         yield
 
 
 @contextmanager
 def late_kernels(tell: Callable[[str, float], None]) -> Iterator[None]:
     """Tell of each function that is compiled, and how many seconds it took, with all that it calls."""
-
-    class Timing(event.Listener):  # type: ignore[misc] # numba is not typed
-        depth, begun_s = 0, 0.0
-
-        def on_start(self, _event: Any) -> None:
-            if self.depth == 0:
-                self.begun_s = time.monotonic()
-            self.depth += 1
-
-        def on_end(self, ended: Any) -> None:
-            self.depth -= 1
-            if self.depth == 0:
-                tell(ended.data["dispatcher"].py_func.__qualname__, time.monotonic() - self.begun_s)
-
-    with event.install_listener("numba:compile", Timing()):
+    with event.install_listener("numba:compile", _Compiling(lambda: None, tell)):
         yield
