@@ -26,8 +26,8 @@ WITHIN_S = 20.0
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "ASK_S", 0.1)
-    monkeypatch.setattr(session, "UNSEEN_ASKS", 10)
-    monkeypatch.setattr(session, "SILENT_ASKS", 20)
+    monkeypatch.setattr(session, "UNSEEN_ASKS", 20)
+    monkeypatch.setattr(session, "SILENT_ASKS", 40)
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_a_slow_link_is_none_that_is_broken(router: str) -> None:
         token = opened.liveliness().declare_token(KEY)
         watched = Link(opened, Role.ALLOCATOR, "a")
         _until(lambda: _known(watched))
-        slow.delay_s = 0.3
+        slow.delay_s = 0.25
         assert not _broken(watched, 5.0)
         token.undeclare()
         assert _broken(watched, WITHIN_S)
