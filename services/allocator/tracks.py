@@ -108,7 +108,10 @@ class FoundTracks:
 
     def sent(self, waveform: Waveform) -> Waveform:
         """A waveform as it is to be sent: where one may be lost, with the births of which no plan has come."""
-        return self._last_sent.repeated(waveform) if self._pacing.loses_dwells else waveform
+        if not self._pacing.loses_dwells:
+            return waveform
+        begins_none = None if self._last_sent.is_followed else True
+        return self._last_sent.repeated(waveform.model_copy(update={"begins_none": begins_none}))
 
     def forget(self, before_k: int) -> None:
         """Drop the scans before a dwell."""

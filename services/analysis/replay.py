@@ -3,8 +3,9 @@
 A planner takes up tracks as in the run, with a clock that stands still: no search is cut short. The allocator gets the
 clock of lockstep. For a run in real time this leaves out what depended on the clock. Of searches that a deadline cut
 short it leaves out the bin and the number of simulations. It leaves out waveforms of dwells without all plans in time,
-or after a scan of an older roster. Tracks coast over a dwell without a scan, as they did in the run. A plan says which
-scans its belief went without (`Plan.unseen`): it is left out where the journal has other scans.
+after a scan of an older roster, or of an allocator that has just come back. Tracks coast over a dwell without a scan,
+as they did in the run. A plan says which scans its belief went without (`Plan.unseen`): it is left out where the
+journal has other scans.
 
 A run without an end may have lost its oldest dwells. The tracks that began in them are left out: a track is a function
 of the scans since its birth.
@@ -223,7 +224,8 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
         notes.append(f"{outcome.cut_short} searches were cut short by the clock: their bin and n_sim were not compared")
     if outcome.late:
         notes.append(
-            f"{outcome.late} waveforms were not compared: their plans, or the waveforms before them, were late"
+            f"{outcome.late} waveforms were not compared: their plans, or the waveforms before them, were late,"
+            " or their allocator had just come back"
         )
     if outcome.missing:
         skipped = f", {outcome.skipped} never happened" if outcome.skipped else ""
@@ -267,7 +269,7 @@ def _compared(
     for message in recorded:
         target = getattr(message, "target", None)
         answer, track = found.get(target), None if target is None else target + 1
-        if by_clock and isinstance(message, Waveform) and (answer is None or message.late.any()):
+        if by_clock and isinstance(message, Waveform) and (answer is None or message.late.any() or message.begins_none):
             outcome = replace(outcome, late=outcome.late + 1)
             continue
         if answer is None:

@@ -196,6 +196,9 @@ class EmulatorCore:
             pacing=pacing,
             awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
         )
+        if run.t > 0 or run.is_tracking(None):  # the acquisition has no dwell to spare
+            _skip(run, max(run.k, checkpoint.due_k))
+            run.begun_k = run.k
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
 
@@ -245,9 +248,10 @@ def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
 
 def _missing(run: _Run) -> Sequence[Message]:
     """The recall of the next waveform, if the journal has it already and we do not."""
-    any_will_do = run.pacing.has_deadlines and run.waveforms
-    is_here = any_will_do or run.k - 1 in run.waveforms
-    lacks = not run.over and 0 < run.k <= run.resend.k and not is_here
+    any_will_do = run.pacing.has_deadlines
+    is_here = run.k - 1 in run.waveforms or (any_will_do and run.waveforms)
+    may_be_there = run.k <= run.resend.k or (any_will_do and run.resend.k > 0)
+    lacks = not run.over and run.k > 0 and may_be_there and not is_here
     return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()
 
 

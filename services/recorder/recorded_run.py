@@ -102,6 +102,8 @@ class RecordedRun:
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
+        self._heard_k = -1  # dwell of the newest scan,
+        self._heard_at: int | None = None  # ... and tick at which it came; None: before the first one
 
     def check(self, message: OfDwell | Snapshot) -> None:
         """Refuse a message that does not match the run's number of dwells, of tracks or of targets."""
@@ -178,6 +180,8 @@ class RecordedRun:
             self._timer.hear()
         match message:
             case Scan():
+                if message.k > self._heard_k:
+                    self._heard_k, self._heard_at = message.k, self._ticks or None
                 dwell.t = message.t
                 roster = roster_of(message)
                 dwell.born_ks = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
@@ -302,7 +306,18 @@ class RecordedRun:
         self._overdue = ()
         if resend:
             self._timer.ask()
-        return [first.model_copy(update=now) for first in self._first]
+        of_radar, of_emulator = self._first
+        return [of_radar.model_copy(update=now), of_emulator.model_copy(update=now | {"due_k": self._due_k()})]
+
+    def _due_k(self) -> int:
+        """In real time the dwell that is due at least, by the clock since the newest scan.
+
+        The clock of a recorder that comes back begins with the first scan that it hears: all may have been away.
+        """
+        if not self.pacing.loses_dwells:
+            return 0
+        whole_ticks = 0 if self._heard_at is None else max(self._ticks - self._heard_at - 1, 0)
+        return max(self._heard_k + 1, self.k) + int(whole_ticks * TICK_S * self.start.rate_hz)
 
     @cached_property
     def _first(self) -> tuple[Checkpoint, EmulatorCheckpoint]:

@@ -1,16 +1,25 @@
 """What must hold of a schedule, whatever its faults: in lockstep the same run, in real time what a radar promises."""
 
 import hashlib
+import itertools
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from itertools import groupby, pairwise
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
+from cogradar.services.analysis.replay import CORES, replay
+from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.messages import ABSENT, Checkpoint, Message, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
@@ -180,6 +189,27 @@ def check_in_time(journal: Journal, start: RunStart) -> None:
     late = [scan.k for scan in scans if isinstance(scan, Scan) and scan.t > 1 and scan.waveform_k is not None]
     if late:
         raise Violated(f"{start.run}: only planners were disturbed, and the waveforms of dwells {late} were late")
+
+
+def repeated(radiated: Collection[Dwell]) -> dict[str, Dwell]:
+    """Of each run in which a dwell was radiated twice the last such one."""
+    times = Counter((dwell.run, dwell.k) for dwell in radiated)
+    return {dwell.run: dwell for dwell in radiated if times[dwell.run, dwell.k] > 1}
+
+
+def check_once(radiated: Iterable[Dwell]) -> None:
+    """In real time no dwell is measured twice once tracks are followed: others know the first scan. Raises Violated."""
+    for dwell in repeated([dwell for dwell in radiated if dwell.t > 0]).values():
+        raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated twice, the last time at {dwell.at_s:.3f} s")
+
+
+def check_replayed(journal: Journal, starts: Iterable[RunStart]) -> None:
+    """In real time, too, planners and allocator answered as what is journalled makes them answer. Raises Violated."""
+    store = Store(journal)
+    for start, to in itertools.product(starts, CORES):
+        with suppress(BadInput):  # there is nothing to compare
+            if (found := replay(StoredRun(partial(answer, store), start.run), to).difference) is not None:
+                raise Violated(f"{start.run}: replayed to the {to}, it differs: {found}")
 
 
 def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:

@@ -19,11 +19,14 @@ from cogradar.services.simulation.checks import (
     Violated,
     check_in_time,
     check_journal,
+    check_once,
     check_pace,
     check_power,
     check_recovered,
+    check_replayed,
     check_waveforms,
     fingerprint,
+    repeated,
 )
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
@@ -203,6 +206,10 @@ class Simulator:
                 check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
                 if all(Role.PLANNER in fault.who + fault.whom for fault in schedule.faults):
                     check_in_time(self._journal, start)
+            if not any(_hides_scans(fault) for fault in schedule.faults):
+                check_once(radiated)
+            again = repeated(radiated)
+            check_replayed(self._journal, [start for start in starts if start.run not in again])
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given(given))))
         return found
@@ -366,6 +373,11 @@ class Simulator:
 
 def _is_at_radar(fault: Fault) -> bool:
     return "emulator" in fault.who or "emulator" in fault.whom or fault.kind is Kind.ROUTER
+
+
+def _hides_scans(fault: Fault) -> bool:
+    """Whether the recorder may not hear of a scan that was sent, or forget it."""
+    return Role.RECORDER in fault.who or fault.kind in LINKS
 
 
 def _twin(fault: Fault) -> str:

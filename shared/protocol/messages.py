@@ -151,6 +151,9 @@ class EmulatorCheckpoint(Checkpoint):
 
     world: World | None  # complete: [world] of a scenario; none: a real front end, which has no such table
     world_seed: Seed
+    # In real time the dwell that is due at least, by the recorder's clock since its newest scan; in lockstep 0. An
+    # emulator that begins here goes on with it: an earlier one may have been measured already.
+    due_k: Index = 0
 
 
 class Scan(Message):
@@ -343,6 +346,7 @@ class Waveform(Message):
     roster: Roster | None = None  # the tracks, if their number is unknown
     orders: Ints | None = None  # numbers of the orders that it obeys, ascending; none: there are none
     settings: Settings | None = None  # ... what they set; None: all is as the run began
+    begins_none: Literal[True] | None = None  # in real time: its allocator has just come back, and no track begins yet
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:

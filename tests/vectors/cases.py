@@ -138,7 +138,10 @@ FULL = {
 CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
     RunStart: ({"seed": 0, "dwells": 1}, {"scenario": SKY, "seed": 2**63 - 1, "dwells": LAST, "rate_hz": 0.001}),
     Checkpoint: ({"k": 0, "t": 0}, FULL),
-    EmulatorCheckpoint: ({"k": 0, "t": 0, "world": None}, {**FULL, "world": SKY["world"], "world_seed": 2**32}),
+    EmulatorCheckpoint: (
+        {"k": 0, "t": 0, "world": None},
+        {**FULL, "world": SKY["world"], "world_seed": 2**32, "due_k": LAST},
+    ),
     Command: ({"by": "x", "action": Resume()}, {"by": "~" * 100, "action": ACTIONS[1], "at": LAST}),
     ScanRecall: ({"k": 0, "targets": [0]}, {"k": LAST, "targets": EDGES}),
     Handover: ({"targets": [0]}, {"targets": EDGES, "taken": True}),
@@ -229,6 +232,7 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
             "roster": _roster(10),
             "orders": np.array(EDGES, np.int32),
             "settings": [Setting(key="strategy", value="uniform"), ACTIONS[6]],
+            "begins_none": True,
         },
     ),
     Snapshot: (

@@ -260,9 +260,12 @@ def test_in_real_time_an_allocator_that_comes_back_uses_no_number_again() -> Non
     (first,) = after.handle(_of_dwell(2, (-0.2, 40.25)))
     assert isinstance(first, Waveform)
     assert _roster_of(first).ids.size == 0  # none begins before it is heard
+    assert (late.begins_none, first.begins_none) == (None, True)
     (second,) = after.handle(_of_dwell(3, roster=no_tracks().model_copy(update={"next_id": 2})))
     assert isinstance(second, Waveform)
-    assert _ids(after, _of_dwell(4, (-0.2, 40.25), (-0.4, 70.25), roster=_roster_of(second))) == [2, 3]
+    (third,) = after.handle(_of_dwell(4, (-0.2, 40.25), (-0.4, 70.25), roster=_roster_of(second)))
+    assert isinstance(third, Waveform)
+    assert (_roster_of(third).ids.tolist(), third.begins_none) == ([2, 3], None)
 
 
 def test_in_real_time_an_old_scan_that_is_sent_again_does_not_set_numbers_back() -> None:

@@ -201,6 +201,8 @@ def test_in_real_time_what_the_clock_decided_is_left_out_and_counted(store: Stor
     assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * n_dwell, cut_short=1)
     _change(store, "waveform", 0, late=np.array([1, 0], dtype=np.int32))
     assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - 1, late=1)
+    _change(store, "waveform", 0, late=np.array([0, 0], dtype=np.int32), begins_none=True)
+    assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - 1, late=1)
     _remove(store, "plan", 1)
     assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * n_dwell - 1)
     _remove(store, "scan", 0)  # whose plans were made of a scan that the journal lost, and so were all later ones

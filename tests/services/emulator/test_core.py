@@ -154,6 +154,23 @@ def test_in_real_time_the_radar_searches_before_anybody_has_told_it_of_tracks_an
     assert (again.k, again.t, again.roster) == (4, 5, first.roster)
 
 
+def test_in_real_time_an_emulator_that_comes_back_goes_on_with_the_dwell_that_is_due(said: list[Message]) -> None:
+    """Others may know scans that the journal has not acknowledged; a dwell that is measured again would be another."""
+    start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})
+    core = EmulatorCore(SimulatedFrontEnd.open)
+    assert core.handle(checkpoint(start, 4, 1, due_k=9)) == [WaveformRecall(run="r", k=8)]
+    assert core.handle(waveforms(said)[-1].model_copy(update={"k": 3})) == []
+    (scan,) = scans(list(core.handle(Tick(0.0))))
+    assert (scan.k, scan.t, scan.waveform_k) == (9, 7, 3)
+
+
+def test_the_acquisition_has_no_dwell_to_spare_when_an_emulator_comes_back() -> None:
+    start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})
+    core = EmulatorCore(SimulatedFrontEnd.open)
+    assert core.handle(checkpoint(start, due_k=9)) == []
+    assert [(scan.k, scan.t) for scan in scans(list(core.handle(Tick(0.0))))] == [(0, 0)]
+
+
 def test_a_scan_says_how_many_dwells_before_it_never_happened() -> None:
     """Only the process knows that sent the scan before them: another one may have transmitted some."""
     start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})

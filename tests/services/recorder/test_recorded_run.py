@@ -1,5 +1,7 @@
 """When a dwell is complete: with everything in lockstep, with what there is in real time, without a truth."""
 
+from collections.abc import Iterable
+
 import pytest
 
 from cogradar.services.delivery.pacing import REST_S
@@ -9,6 +11,7 @@ from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import (
     Checkpoint,
+    EmulatorCheckpoint,
     Message,
     Plan,
     Refused,
@@ -18,7 +21,7 @@ from cogradar.shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from cogradar.shared.wire.runner import TICK_S
+from cogradar.shared.wire.runner import TICK_S, Flush
 from tests.services.loop import SMOKE, play, scans, smoke_start
 
 RATE_HZ = 10.0
@@ -99,6 +102,31 @@ def test_a_recorder_that_comes_back_in_real_time_asks_once_for_what_it_missed() 
         core.handle(scan)
         asked.append([m.k for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint) and m.resend])
     assert [ks for ks in asked if ks] == [[11, 11]]  # to the radar's processes and to the emulator
+
+
+def test_a_checkpoint_says_which_dwell_is_due_by_the_clock_since_the_newest_scan() -> None:
+    """At least: the time between two ticks is not known. One that comes back knows the scans of its journal alone."""
+    sent = scans(play(smoke_start(dwells=6)))
+    core, journal = _recorded([])
+    due = list[int]()
+
+    def note(answers: Iterable[Message | Flush]) -> None:
+        due.extend(one.due_k for one in answers if isinstance(one, EmulatorCheckpoint))
+
+    core.handle(Tick(0.0))
+    for scan in sent[:3]:
+        core.handle(scan)
+    last_k = sent[2].k
+    for tick in range(1, 13):
+        note(core.handle(Tick(tick * TICK_S)))
+    assert due[0] > last_k
+    assert due[-1] == last_k + 1 + int((12 - 1) * TICK_S * RATE_HZ)
+    journal.commit()
+    back = RecorderCore(journal, resume=True)
+    due.clear()
+    for tick in range(12):
+        note(back.handle(Tick(tick * TICK_S)))
+    assert set(due) == {last_k + 1}
 
 
 def test_a_scan_that_is_missing_although_a_later_one_has_come_is_asked_for_until_it_comes() -> None:

@@ -4,11 +4,14 @@ import math
 import sys
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import pytest
 
 from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.allocator.last_sent_roster import LastSentRoster
+from cogradar.services.allocator.tracks import FoundTracks
 from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.pacing import Lockstep
 from cogradar.services.delivery.resend import ResendBuffer
@@ -349,6 +352,22 @@ def test_a_commit_that_is_not_durable_is_found(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(Journal, "commit", lambda self: None if self.read("SELECT 1 FROM run") else commit(self))
     failed = [seed for seed in range(12) if play(Schedule.draw(seed)).violation]
     assert failed
+
+
+def test_an_emulator_that_comes_back_and_measures_a_dwell_again_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a planner the waveforms do not tell it how far the radar was."""
+    faults = Fault(Kind.LEAVE, 0.4, 1.5, "planner-0"), Fault(Kind.CRASH, 0.75, 1.1, "emulator-0")
+    run = partial(_played, *faults, sky="unknown", rate_hz=10.0, planners=1, dwells=30)
+    assert run().violation == ""
+    monkeypatch.setattr(RecordedRun, "_due_k", lambda _: 0)
+    assert "dwell 7 was radiated twice" in run().violation
+
+
+def test_answers_in_real_time_that_the_journal_does_not_explain_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here of an allocator that comes back and does not say that it begins no tracks."""
+    monkeypatch.setattr(LastSentRoster, "is_followed", property(lambda _: False, lambda *_: None), raising=False)
+    monkeypatch.setattr(FoundTracks, "sent", lambda self, waveform: self._last_sent.repeated(waveform))
+    assert "replayed to the allocator" in _played(sky="unknown", rate_hz=10.0, dwells=20).violation
 
 
 def test_a_recorder_that_is_not_fenced_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
