@@ -62,7 +62,7 @@ class _Run:
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
     begun_k: int = 0  # k when the run was begun here
     over: bool = False
-    last_k: int | None = None  # dwell of the last scan, if it was measured here
+    last_k: int | None = None  # dwell of the last scan, if that is known
     strongest: Strongest | None = None  # of the acquisition
     unmeasured: int = 0  # dwells of the acquisition in which nothing was measured
     last_fault: str = ""  # ... why
@@ -197,6 +197,7 @@ class EmulatorCore:
             awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
         )
         if run.t > 0 or run.is_tracking(None):  # the acquisition has no dwell to spare
+            run.last_k = checkpoint.newest_k
             _skip(run, max(run.k, checkpoint.due_k))
             run.begun_k = run.k
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]

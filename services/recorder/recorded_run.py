@@ -307,17 +307,17 @@ class RecordedRun:
         if resend:
             self._timer.ask()
         of_radar, of_emulator = self._first
-        return [of_radar.model_copy(update=now), of_emulator.model_copy(update=now | {"due_k": self._due_k()})]
+        return [of_radar.model_copy(update=now), of_emulator.model_copy(update=now | self._due())]
 
-    def _due_k(self) -> int:
-        """In real time the dwell that is due at least, by the clock since the newest scan.
+    def _due(self) -> dict[str, int]:
+        """In real time the newest scan, and the dwell that is due at least, by the clock since then.
 
         The clock of a recorder that comes back begins with the first scan that it hears: all may have been away.
         """
-        if not self.pacing.loses_dwells:
-            return 0
+        if not self.pacing.loses_dwells or (newest_k := max(self._heard_k, self.k - 1)) < 0:
+            return {}
         whole_ticks = 0 if self._heard_at is None else max(self._ticks - self._heard_at - 1, 0)
-        return max(self._heard_k + 1, self.k) + int(whole_ticks * TICK_S * self.start.rate_hz)
+        return {"newest_k": newest_k, "due_k": newest_k + 1 + int(whole_ticks * TICK_S * self.start.rate_hz)}
 
     @cached_property
     def _first(self) -> tuple[Checkpoint, EmulatorCheckpoint]:

@@ -98,7 +98,11 @@ class Disk:
             return
         self.put_back()
         before, old = self.path, self._journal
-        self._life, self._journal = self._life + 1, None
+        self._journal = None
+        if self._left and not torn:  # one that was frozen has the same file open
+            old.discard()
+            return
+        self._life += 1
         _copy(before, self.path)
         if torn and self._rng.random() < 0.7:  # else all of it is there, and no process was told
             log = _log(self.path)

@@ -206,9 +206,9 @@ class Simulator:
                 check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
                 if all(Role.PLANNER in fault.who + fault.whom for fault in schedule.faults):
                     check_in_time(self._journal, start)
-            if not any(_hides_scans(fault) for fault in schedule.faults):
-                check_once(radiated)
             again = repeated(radiated)
+            if not any(_hides_scans(fault) for fault in schedule.faults):
+                check_once(again.values())
             check_replayed(self._journal, [start for start in starts if start.run not in again])
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given(given))))

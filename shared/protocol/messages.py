@@ -151,9 +151,10 @@ class EmulatorCheckpoint(Checkpoint):
 
     world: World | None  # complete: [world] of a scenario; none: a real front end, which has no such table
     world_seed: Seed
-    # In real time the dwell that is due at least, by the recorder's clock since its newest scan; in lockstep 0. An
-    # emulator that begins here goes on with it: an earlier one may have been measured already.
-    due_k: Index = 0
+    # In real time: dwell of the newest scan that the recorder has; none of those after it was measured, as far as it
+    # knows. None: it has none, or the run is in lockstep.
+    newest_k: Index | None = None
+    due_k: Index = 0  # ... and the dwell that is due at least, by its clock since then. Who begins here goes on with it
 
 
 class Scan(Message):

@@ -155,13 +155,16 @@ def test_in_real_time_the_radar_searches_before_anybody_has_told_it_of_tracks_an
 
 
 def test_in_real_time_an_emulator_that_comes_back_goes_on_with_the_dwell_that_is_due(said: list[Message]) -> None:
-    """Others may know scans that the journal has not acknowledged; a dwell that is measured again would be another."""
+    """Others may know scans that the journal has not acknowledged; a dwell that is measured again would be another.
+
+    It says which dwells never happened, or the tracks would wait for their scans.
+    """
     start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})
     core = EmulatorCore(SimulatedFrontEnd.open)
-    assert core.handle(checkpoint(start, 4, 1, due_k=9)) == [WaveformRecall(run="r", k=8)]
+    assert core.handle(checkpoint(start, 4, 1, newest_k=6, due_k=9)) == [WaveformRecall(run="r", k=8)]
     assert core.handle(waveforms(said)[-1].model_copy(update={"k": 3})) == []
     (scan,) = scans(list(core.handle(Tick(0.0))))
-    assert (scan.k, scan.t, scan.waveform_k) == (9, 7, 3)
+    assert (scan.k, scan.t, scan.waveform_k, scan.skipped) == (9, 7, 3, 2)
 
 
 def test_the_acquisition_has_no_dwell_to_spare_when_an_emulator_comes_back() -> None:

@@ -108,15 +108,16 @@ def test_a_checkpoint_says_which_dwell_is_due_by_the_clock_since_the_newest_scan
     """At least: the time between two ticks is not known. One that comes back knows the scans of its journal alone."""
     sent = scans(play(smoke_start(dwells=6)))
     core, journal = _recorded([])
-    due = list[int]()
+    due, last_k = list[int](), sent[2].k
 
     def note(answers: Iterable[Message | Flush]) -> None:
-        due.extend(one.due_k for one in answers if isinstance(one, EmulatorCheckpoint))
+        said = [one for one in answers if isinstance(one, EmulatorCheckpoint)]
+        assert {one.newest_k for one in said} <= {last_k}
+        due.extend(one.due_k for one in said)
 
     core.handle(Tick(0.0))
     for scan in sent[:3]:
         core.handle(scan)
-    last_k = sent[2].k
     for tick in range(1, 13):
         note(core.handle(Tick(tick * TICK_S)))
     assert due[0] > last_k
