@@ -70,6 +70,7 @@ class Replay:
     skipped: int = 0  # ... that never happened, as the next scan says
     other_scans: int = 0  # plans that were not compared: their planner had not the scans of the journal
     cut_off: int = 0  # ... of tracks that began in dwells that were cut
+    conflicts: int = 0  # messages of the run that differed from the first of their kind, which the journal has
 
 
 def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
@@ -84,7 +85,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     rate_hz = stored.start.rate_hz if by_clock and to == "planner" else 0.0
     core.handle(_checkpoint(stored, first, 0, rate_hz=rate_hz))
-    outcome, t = Replay(0), 0
+    outcome, t = Replay(0, conflicts=stored.row["conflicts"]), 0
     cut_off: set[int] | None = None  # tracks that began before the first dwell; None: no scan has said it yet
     given, told, acknowledged = stored.orders() if to == "allocator" else [], list[Order](), (first, 0)
     before: Sequence[Message] = ()  # recorded answers of the dwell before
@@ -236,6 +237,11 @@ def words(run: str, to: str, outcome: Replay) -> list[str]:
         notes.append(f"{outcome.cut_off} plans were not compared: their tracks began in dwells that were cut")
     if (found := outcome.difference) is None:
         return [f"{run}: {agreed}", *notes]
+    if outcome.conflicts:
+        notes.append(
+            f"{outcome.conflicts} messages of this run were sent again with other contents: the journal has the first"
+            " of each, and a process may have used another one"
+        )
     whose = "" if found.track is None else f" of track {found.track}"
     where = f"dwell k = {found.k} (t = {found.t})"
     return [

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cogradar.services.analysis import replay as module
-from cogradar.services.analysis.replay import CORES, Difference, Replay, replay
+from cogradar.services.analysis.replay import CORES, Difference, Replay, replay, words
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.cli.app import app
 from cogradar.services.delivery import pacing
@@ -160,6 +160,11 @@ def test_a_waveform_that_was_altered_is_found_at_its_dwell(store: Store) -> None
     assert outcome.difference is not None
     assert (outcome.agreed, outcome.difference.k, outcome.difference.track) == (AT, AT, None)
     assert (outcome.difference.field, outcome.difference.recorded) == ("factor.shape", "(16, 1) of complex64")
+    assert "with other contents" not in " ".join(words("r", "allocator", outcome))
+    store.journal.write("UPDATE run SET conflicts = 3")
+    seal(store.journal)
+    said = words("r", "allocator", replay(_stored(store), "allocator"))
+    assert "3 messages of this run were sent again with other contents" in said[-1]
 
 
 def test_a_waveform_after_a_scan_of_an_older_roster_is_not_compared_in_real_time(tmp_path: Path) -> None:
