@@ -162,12 +162,12 @@ class Cluster:
         self.serve(process)
 
     def tell_members(self) -> None:
-        """Tell the planners, and the processes of each pool, of each other, as far as they can see."""
+        """Tell planners and recorder of the planners, and processes of a pool of each other, as far as they can see."""
         for key, process in self.processes.items():
             self.tokens.freeze(key, is_asleep=process.is_dead_to_others)
         self.tokens.tell()
         planners = [process for process in self.processes.values() if process.role is Role.PLANNER]
-        for reader in planners:
+        for reader in [process for process in self.processes.values() if process.role in {Role.PLANNER, Role.RECORDER}]:
             seen = [one for one in planners if not one.is_dead_to_others and not self._is_cut(one, reader)]
             names = tuple(sorted({one.name for one in seen}))
             if names != reader.told:
