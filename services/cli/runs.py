@@ -293,7 +293,7 @@ def cancel(
 
     with command(at_once=True, zenoh_config=zenoh_config):
         cancelling.cancel_on(connect, run)
-    out.print(f"{run} is cancelled", soft_wrap=True)
+    out.print(f"{run} is stopped", soft_wrap=True)
 
 
 def command_run(

@@ -51,8 +51,8 @@ def _unconfirmed(session: Session, run: str) -> str:
     try:
         status(session, run)
     except NoAnswer:  # as the processes of `cogradar run`, which end with their run
-        return f"{run}: its services have ended since it was to be cancelled, or no longer answer"
-    return f"no answer within {WITHIN_S:.0f} s says that {run} is cancelled: it may go on"
+        return f"{run}: its services have ended since it was to be stopped, or no longer answer"
+    return f"no answer within {WITHIN_S:.0f} s says that {run} is stopped: it may go on"
 
 
 def check_running(session: Session, run: str) -> None:
@@ -103,5 +103,5 @@ def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collect
 def _outcome(names: Collection[str], left: Collection[str]) -> str:
     if left:
         are, they = ("is", "it") if len(left) == 1 else ("are", "they")
-        return f"no confirmation that {', '.join(left)} {are} cancelled: {they} may go on"
-    return f"{next(iter(names))} is cancelled" if len(names) == 1 else f"its {len(names)} runs are cancelled"
+        return f"no confirmation that {', '.join(left)} {are} stopped: {they} may go on"
+    return f"{next(iter(names))} is stopped" if len(names) == 1 else f"its {len(names)} runs are stopped"

@@ -54,7 +54,7 @@ def steps(
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
 ) -> Generator[DwellMessages, Waveform | None, Result]:
-    """Play one run dwell by dwell, the acquisition included, and score it at its end; closed earlier, it is cancelled.
+    """Play one run dwell by dwell, the acquisition included, and score it at its end; closed earlier, it is stopped.
 
     A waveform that is sent in answer to a dwell is radiated next, in place of the one that the allocator made. Else the
     run is that of `play`.

@@ -148,7 +148,7 @@ def test_a_run_on_shared_services_ends_with_its_command(
         run.communicate()
     (name,) = set(_runs(endpoint)) - before
     assert f"all {_runs(endpoint)[name]['t']}" in table  # as of a run that ends by itself
-    assert (run.returncode, errors.strip()) == (code, f"interrupted; {name} is cancelled")
+    assert (run.returncode, errors.strip()) == (code, f"interrupted; {name} is stopped")
     row = _runs(endpoint)[name]
     assert (row["status"], row["reason"]) == ("stopped", "by user")
     _nobody_speaks_of(endpoint, name)
@@ -184,7 +184,7 @@ def test_a_run_that_was_left_alone_is_cancelled_by_name(endpoint: str) -> None:
     assert _runs(endpoint)[name]["status"] == "running"
     _until(lambda: _runs(endpoint)[name]["t"] > 0)
     done = _cogradar("cancel", name, "--connect", endpoint)
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name} is cancelled\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name} is stopped\n", "")
     assert _runs(endpoint)[name]["reason"] == "by user"
     _nobody_speaks_of(endpoint, name)
     again = _cogradar("cancel", name, "--connect", endpoint)
@@ -256,7 +256,7 @@ def test_an_interrupt_waits_for_no_results_of_a_slow_metrics(router: str) -> Non
         serving.start()
         began = time.monotonic()
         with (
-            pytest.raises(Interrupted, match=r"^interrupted; r is cancelled$") as ended,
+            pytest.raises(Interrupted, match=r"^interrupted; r is stopped$") as ended,
             distributed._cancelled_and_told(sessions[1], operator, smoke_start(dwells=400)),
         ):
             raise Interrupted("interrupted")
@@ -277,7 +277,7 @@ def test_what_nobody_confirms_is_said_within_seconds(router: str) -> None:
     try:
         assert cancelling.cancel(session, bus, ["a", "b"]) == ["a", "b"]
         with (
-            pytest.raises(Interrupted, match=r"^stop; no confirmation that a is cancelled: it may go on$"),
+            pytest.raises(Interrupted, match=r"^stop; no confirmation that a is stopped: it may go on$"),
             cancelling.cancelled_unless_over(session, bus, lambda: ["a"]),
         ):
             raise Interrupted("stop")
