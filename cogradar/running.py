@@ -5,6 +5,7 @@ import logging
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
@@ -52,7 +53,7 @@ def load(name_or_path: str | Path, settings: Settings = ()) -> Scenario:
 class Player:
     """A run that is played dwell by dwell: an iterator of `Dwell`, and its `result` once it is over.
 
-    Closed before its end, as at the end of a `with` that is left earlier, the run is cancelled. At its end, and when it
+    Closed before its end, as at the end of a `with` that is left earlier, the run is stopped. At its end, and when it
     fails, it is closed already.
     """
 
@@ -189,8 +190,10 @@ def play(scenario: Scenario | str | Path, **how: Unpack[Playing]) -> Player:
     """
     from cogradar.services.front_ends import settled
 
-    if unknown := sorted(how.keys() - Playing.__optional_keys__):
-        raise BadInput(f"{unknown[0]}: no argument, must be one of {', '.join(sorted(Playing.__optional_keys__))}")
+    known = sorted(Playing.__optional_keys__)
+    if unknown := sorted(how.keys() - set(known)):
+        meant = "".join(f" (did you mean {name}?)" for name in get_close_matches(unknown[0], known, n=1))
+        raise BadInput(f"{unknown[0]}: no argument{meant}, must be one of {', '.join(known)}")
     loaded = _loaded(scenario, how)
     front_end = how.get("front_end", Start.front_end)
     strategy = strategy_of(how.get("strategy", Strategy.POWER_AWARE))

@@ -112,9 +112,10 @@ def test_settings_are_those_of_the_command_line() -> None:
     assert ours.scenario.radar.array.n_tx == 12
     with pytest.raises(cogradar.BadInput, match="a Scenario has all its values"):
         cogradar.run(ours.scenario, set=settings)
-    typo: Any = {"seeds": 3}
-    with pytest.raises(cogradar.BadInput, match=r"seeds: no argument, must be one of belief, disturbance,.*, seed, "):
-        cogradar.run("smoke", **typo)
+    for typo, meant in (("seeds", "seed"), ("sets", "set"), ("stratgy", "strategy"), ("xyz", "")):
+        guess, given = rf" \(did you mean {meant}\?\)" if meant else "", dict[str, Any]({typo: 3})
+        with pytest.raises(cogradar.BadInput, match=rf"^{typo}: no argument{guess}, must be one of belief, dist"):
+            cogradar.run("smoke", **given)
     assert cogradar.load("smoke", {"radar.array.n_tx": np.array(12)}).radar.array.n_tx == 12
     assert cogradar.load("smoke", "radar.array.n_tx=12").radar.array.n_tx == 12
     with pytest.raises(cogradar.BadInput, match="a setting is None"):
