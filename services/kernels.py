@@ -6,8 +6,8 @@ import shutil
 import threading
 import time
 import tomllib
-from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
 EACH_S = 15.0  # how far it is, is said
-FUNCTIONS = 420  # some, to compile
+FUNCTIONS = 440  # some, to compile
+LAST = 0.95  # of them, from which on each takes longer
 MAX_USERS = 1000  # processes of one folder that are told apart
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 log = logging.getLogger(__name__)
@@ -88,17 +89,17 @@ def _compile(report: Callable[[str], None], stop: threading.Event | None) -> Non
 
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
-    n, next_s = 0, time.monotonic() + EACH_S
+    n = 0
 
     def begin() -> None:
-        nonlocal n, next_s
+        nonlocal n
         check()
         n += 1
-        if time.monotonic() >= next_s:
-            report(f"compiling kernels: {n} of some {max(FUNCTIONS, n)} functions")
-            next_s = time.monotonic() + EACH_S
 
-    with compiling(begin):
+    with (
+        _said_meanwhile(lambda: report(f"compiling kernels: {n} of some {max(FUNCTIONS, n)} functions{_longer(n)}")),
+        compiling(begin),
+    ):
         turning = {"motion": document["radar"]["motion"] | {"modes": "mixture"}}
         joint = document["radar"] | turning | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
         play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
@@ -119,6 +120,28 @@ def _compile(report: Callable[[str], None], stop: threading.Event | None) -> Non
             radar = scenario.radar.model_copy(update={"planner": planner})
             warm_up(radar, TrackerModel.of(radar, Strategy.POWER_AWARE, seed=1))
             check()
+
+
+@contextmanager
+def _said_meanwhile(say: Callable[[], None]) -> Iterator[None]:
+    """Call this now and then, also while one long function is compiled."""
+    over = threading.Event()
+
+    def repeat() -> None:
+        while not over.wait(EACH_S):
+            say()
+
+    thread = threading.Thread(target=repeat, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _longer(n: int) -> str:
+    return "; the last ones take longer" if n >= LAST * FUNCTIONS else ""
 
 
 def say_late() -> AbstractContextManager[None]:

@@ -80,6 +80,26 @@ def test_a_stop_is_obeyed_while_kernels_compile(
     assert not list(tmp_path.glob("cogradar/kernels-*/complete"))
 
 
+def test_one_function_that_takes_long_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports came only when the next function began."""
+
+    def slow(_: object) -> None:
+        time.sleep(1.0)
+        raise RunFailed("enough")
+
+    monkeypatch.setattr(kernels, "EACH_S", 0.1)
+    monkeypatch.setattr("cogradar.services.runs.in_process.play", slow)
+    said: list[str] = []
+    with pytest.raises(RunFailed, match="enough"):
+        kernels._compile(said.append, None)
+    assert len(said) > 1
+    assert said[0] == f"compiling kernels: 0 of some {kernels.FUNCTIONS} functions"
+    time.sleep(0.3)
+    n = len(said)
+    time.sleep(0.3)
+    assert len(said) == n
+
+
 def test_check_waits_for_no_compiler(tmp_path: Path) -> None:
     """It calls few kernels once, and says the same of them as plain Python."""
     command = [*COGRADAR, "check", "paper"]
