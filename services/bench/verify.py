@@ -130,7 +130,7 @@ def false_alarms(cells: EmptyCells) -> Iterator[Check]:
     apart = slice(None, None, 4)  # far enough apart that bins of one disturbance vector alarm independently
     expected = float(np.mean([theory.false_alarm_probability(P_FA) for theory in cells.theory[apart]]))
     alarms = 2.0 * np.abs(cells.alpha_hat) ** 2 > threshold(P_FA) * cells.sigma_hat**2
-    yield _share(f"P_FA, for {P_FA:g}", int(alarms[:, apart].sum()), alarms[:, apart].size, expected)
+    yield _share(f"P_FA {P_FA:g}", int(alarms[:, apart].sum()), alarms[:, apart].size, expected)
 
 
 def detection(scenario: Scenario, cells: EmptyCells) -> Iterator[Check]:
@@ -206,8 +206,8 @@ def receivers() -> Iterator[Check]:
             left = cell.signature_power / (n_tx * n_rx)
             expected += 1.0 - float(ncfdtr(2.0, dof, zeta * left, 0.5 * dof * np.expm1(limit / dof)))
         name = f"beside echoes, {n_tx} x {n_rx}"
-        yield _share(f"{name}: P_FA, for {P_FA:g}", alarms, looks, P_FA)
-        yield _share(f"{name}: P_D({zeta:g}), P_FA {P_FA:g}", int(found), n, expected / n)
+        yield _share(f"{name}: P_FA {P_FA:g}", alarms, looks, P_FA)
+        yield _share(f"{name}: P_D({zeta:g})", int(found), n, expected / n)
 
 
 def noise_from_range_cells() -> Iterator[Check]:
@@ -246,8 +246,8 @@ def noise_from_range_cells() -> Iterator[Check]:
     theory = finite_size("white", 0.0, np.ones(size, np.complex128), "range-cells", n_rx)
     expected = float(theory.detection_probability(0.5 * zeta / size, size, limit))
     name = f"noise by range, {n_tx} x {n_rx}"
-    yield _share(f"{name}: P_FA, for {P_FA:g}", alarms, n * n_look, theory.false_alarm_probability(P_FA))
-    yield _share(f"{name}: P_D({zeta:g}), P_FA {P_FA:g}", int(found), n, expected)
+    yield _share(f"{name}: P_FA {P_FA:g}", alarms, n * n_look, theory.false_alarm_probability(P_FA))
+    yield _share(f"{name}: P_D({zeta:g})", int(found), n, expected)
 
 
 def _echo_check(scenario: Scenario) -> Check:
@@ -370,7 +370,7 @@ def _worst_bin(name: str, expected: NDArray[np.float64], samples: NDArray[np.flo
     b = int(np.argmax(np.abs(mean - expected) / error))
     half = -float(ndtri(TAIL / expected.size)) * float(error[b])
     low, high = float(expected[b]) - half, float(expected[b]) + half
-    return Check(f"{name}: bin {b}, worst of {expected.size}", float(expected[b]), low, high, float(mean[b]))
+    return Check(f"{name}: worst bin, {b}", float(expected[b]), low, high, float(mean[b]))
 
 
 def _share(name: str, hits: int, n: int, p: float) -> Check:
@@ -385,7 +385,7 @@ def table(checks: Sequence[Check]) -> Table:
     columns = (
         *(Column("", "{verdict}", left=True), Column("check", "{name}", left=True)),
         *(Column("measured", "{measured:.4g}"), Column("interval", "{low:.4g} .. {high:.4g}")),
-        Column("expected", "{expected:.4g}"),  # last: where there is no room, the interval says enough
+        Column("expected", "{expected:.4g}"),
     )
     rows = [check.as_json() | {"verdict": "ok" if check.passed else "FAIL"} for check in checks]
     return Table("", columns, rows, bold=frozenset(i for i, check in enumerate(checks) if not check.passed))
