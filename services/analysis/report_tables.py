@@ -12,8 +12,8 @@ from cogradar.shared.scenario.tables import marked
 
 BESIDE = "side by side"  # marker of a page
 INDEPENDENT = (
-    "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
-    "only Wilson's interval of P_D takes dwells"
+    "intervals: 95 % and 95 %, runs: bootstrap over whole runs, as a lost track misses all its dwells; 95 %, Wilson: "
+    "single dwells (P_D), tracks (lost) or targets (never found) as if they were independent"
 )
 
 OF_ONE = "of a single run there is no interval over runs; Wilson's takes its dwells as independent, which they are not"

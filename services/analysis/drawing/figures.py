@@ -110,7 +110,7 @@ def accuracy(results: Results) -> Figure:
         Line2D([], [], color=drawn[s].colour, linestyle=drawn[s].line, label=f"{s} ({_counted(len(runs.seeds))})")
         for s, runs in results.runs.items()
     ]
-    floor_label = "Cramér-Rao floor of the range, bearing given"
+    floor_label = "Cramér-Rao floor of the range, bearing given:\nno RMSE over many runs is less"
     if not results.is_single:
         handles.append(Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"))
     handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label))

@@ -339,7 +339,9 @@ def test_the_verdict_says_which_strategy_lost_and_where_they_differ_most() -> No
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
-    assert "intervals take runs as independent, not their dwells" in caption(report_of(store))
+    said = caption(report_of(store))
+    for kind, what in (("95 %, runs", "bootstrap over whole runs"), ("95 %, Wilson", "single dwells")):
+        assert f"{kind}: {what}" in said
 
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
