@@ -49,6 +49,15 @@ def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lam
     return OpensInOwnThread(*_named(name))
 
 
+def cure_of_silence(name: str) -> str:
+    """What to do about a front end that opens or answers so late that it is waited for, as the end of a sentence."""
+    if name.startswith(_ZENOH):
+        return ": is its process up, and at the same router?"
+    if name.startswith(RECORDED) or name == SIMULATED:
+        return ""
+    return f": `cogradar check {name}` opens and asks it without a run"
+
+
 def settled(name: str) -> str:
     """The same front end, named so that it stays the same: of a recording with the run, and with the whole path."""
     if not name.startswith(RECORDED):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cogradar.services.certs import own
 from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
+from cogradar.services.front_ends import cure_of_silence
 from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.address import is_server, without_password
@@ -311,8 +312,8 @@ class _Told:
             self._notify(f"hindered: {now.hindered}")
         if self._front_end == Start.front_end or not now.waiting_for.startswith(EMULATOR):
             return now
-        now = replace(now, waiting_for=f"{self._front_end}, for {now.waiting_for}")
+        now = replace(now, waiting_for=f"front end {self._front_end}, for {now.waiting_for}")
         if quiet_s > QUIET_S and self._silent != now.waiting_for:
             self._silent = now.waiting_for
-            self._notify(f"waiting for {now.waiting_for}")
+            self._notify(f"waiting for {now.waiting_for}{cure_of_silence(self._front_end)}")
         return now

@@ -19,7 +19,8 @@ from cogradar.services.front_ends import open_front_end, settled
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
-from cogradar.services.runs.run import as_played
+from cogradar.services.runs.cluster import _Told
+from cogradar.services.runs.run import Progress, as_played
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
@@ -182,6 +183,24 @@ def test_what_is_no_front_end_is_refused(name: str, words: str) -> None:
     for find in (open_front_end, settled):
         with pytest.raises(BadInput, match=words):
             find(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "cure"),
+    [
+        ("receiver.py:Dish", ": `cogradar check receiver.py:Dish` opens and asks it without a run"),
+        ("radar.dish:Dish", ": `cogradar check radar.dish:Dish` opens and asks it without a run"),
+        ("zenoh:dish", ": is its process up, and at the same router?"),
+        ("recorded:a.db", ""),
+    ],
+)
+def test_a_front_end_that_is_waited_for_is_named_with_what_to_do(name: str, cure: str) -> None:
+    said = list[str]()
+    told = _Told(said.append, name)
+    for quiet_s in (0.0, 9.0, 10.0):
+        now = told.of(Progress(0, 10, None, "the emulator's first scan", []), quiet_s)
+    assert now.waiting_for == f"front end {name}, for the emulator's first scan"
+    assert said == [f"waiting for {now.waiting_for}{cure}"]
 
 
 def test_a_file_that_raises_is_refused(tmp_path: Path) -> None:
