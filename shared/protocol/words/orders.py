@@ -53,6 +53,16 @@ FORMS: dict[str, tuple[_Kind, str, tuple[str, ...]]] = {
 }
 
 
+EXAMPLES = {  # of kinds that take values
+    "power": "power 0.5",
+    "sector": "sector blank -20 10",
+    "look": "look 12.5 20 0.3",
+    "drop": "drop 3",
+    "priority": "priority 3 2.5",
+    "accuracy": "accuracy 3 0.5 (track 3 to 0.5 km), or accuracy 3 none",
+    "set": "set rule mode",
+    "pause": "pause 20",
+}
 WORDS = {"search", "key", "value"}
 NONE = "none"  # of `km`
 
@@ -67,8 +77,11 @@ def parsed(words: Sequence[str]) -> Action:
     kind, values = (words[0], words[1:]) if words else ("", ())
     _, form, names = _form(kind)
     if not len(names) - form.count("[") <= len(values) <= len(names):
-        raise ValueError(f"{' '.join(words)}: must be {form}")
-    return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=False)})
+        raise ValueError(f"{' '.join(words)}: must be {form}, as in {EXAMPLES.get(kind, kind)}")
+    try:
+        return action_of({"kind": kind} | {name: _value(name, text) for name, text in zip(names, values, strict=False)})
+    except ValueError as error:
+        raise ValueError(f"{error}; write {form}, as in {EXAMPLES[kind]}") from None
 
 
 def action_of(document: dict[str, Any]) -> Action:

@@ -34,7 +34,7 @@ from cogradar.shared.protocol.orders import (
     priorities,
     searches,
 )
-from cogradar.shared.protocol.words.orders import action_of, parsed, text_of
+from cogradar.shared.protocol.words.orders import EXAMPLES, FORMS, action_of, parsed, text_of
 from cogradar.shared.signal.array import steering_vector
 
 SEARCHES: tuple[Literal["blank", "normal", "double"], ...] = ("blank", "normal", "double")
@@ -180,6 +180,17 @@ def test_actions_are_shown_as_they_are_written(text: str, action: Action) -> Non
 def test_what_is_no_action_is_refused(text: str, fault: str) -> None:
     with pytest.raises(ValueError, match=re.escape(fault)):
         parsed(text.split())
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_a_refused_action_comes_with_its_form_and_an_example_that_is_one(kind: str) -> None:
+    """An accuracy of 0 km was refused without a word of `none`."""
+    example, form = EXAMPLES[kind], FORMS[kind][1]
+    parsed(example.partition(" (")[0].split())
+    for wrong in (f"{kind} " + " ".join(["x"] * len(FORMS[kind][2])), f"{kind} 1 2 3 4"):
+        with pytest.raises(ValueError, match=re.escape(form)) as caught:
+            parsed(wrong.split())
+        assert str(caught.value).endswith(f"{form}, as in {example}")
 
 
 @pytest.mark.parametrize("document", [{}, {"kind": "power"}, {"kind": "drop", "track": True}, {"kind": "end", "k": 1}])
