@@ -22,6 +22,10 @@ class BadInput(Failure, ValueError):
     exit_code = 2
 
 
+class NoSuchRun(BadInput):
+    """No run is as it was asked for; another store may have one."""
+
+
 class InUse(BadInput):
     """Another process has the store, and its text names it."""
 

@@ -5,10 +5,9 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -36,13 +35,12 @@ from cogradar.services.cli.console import (
     say,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
-from cogradar.services.errors import BadInput, NoMetrics, RunFailed, check_stop
+from cogradar.services.errors import BadInput, NoMetrics, NoSuchRun, RunFailed, check_stop
 
 Rows = Sequence[dict[str, Any]]
 
 DIGEST = 12  # characters of a digest that people are shown
 WIDE = 10_000  # columns of a terminal for `--wide`
-UNITS = "x, y in km, vx, vy in km/s; hat: estimates"
 NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines of their own below the table
 # What people read first, first; what has no room is left out from the end. Other columns follow.
 ORDER = {
@@ -149,19 +147,25 @@ def _answers(store: str | None, connect: str, metric: str, parameters: dict[str,
         if store is not None or connect != DEFAULT_ENDPOINT or (found := newest_store()) is None:
             raise
     say(f"{found}: the newest store in {BUILD}/; no service answers at {connect}", err)
-    with asking.source(found, connect) as ask:
-        return ask(metric, parameters)
+    try:
+        with asking.source(found, connect) as ask:
+            return ask(metric, parameters)
+    except NoSuchRun as error:
+        raise NoSuchRun(f"{error}; asked was {found}: --store FILE names another store") from None
 
 
 def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
     """Print an answer as a table, of all columns if they were `chosen`, and what is said below it."""
+    from cogradar.services.cli.display import NO_ROWS
     from cogradar.services.cli.terminal import print_tables
 
     order = () if chosen else ORDER[metric]
     remedy = "; --wide or --columns NAME,... shows them"
     print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
+    if not rows:
+        say(NO_ROWS.get(metric, ""))
     if metric == "tracks":
-        say(UNITS)
+        say("x, y in km, vx, vy in km/s; hat: estimates")
     for row in rows if not (chosen or wide) else ():
         if note := row.get("reason") or row.get("waiting_for"):
             stopped = "stopped " if row.get("status") == "stopped" else ""
@@ -224,7 +228,10 @@ def export(
 
 
 def replay(
-    to: Annotated[str, typer.Option("--to", metavar="CORE", help="planner or allocator.")],
+    to: Annotated[
+        Literal["planner", "allocator"],
+        typer.Option("--to", metavar="CORE", show_choices=False, help="planner or allocator."),
+    ],
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
@@ -344,20 +351,13 @@ def feed(
     say(f"{n} pictures sent", err)
 
 
-class Contract(StrEnum):
-    """A form of the contract between processes."""
-
-    ASYNCAPI = "asyncapi"
-    JSONSCHEMA = "jsonschema"
-
-
 def schema(
     form: Annotated[
-        Contract,
+        Literal["asyncapi", "jsonschema"],
         typer.Option(
             "--format", help="asyncapi: keys, senders, readers, rights, messages; jsonschema: the messages alone."
         ),
-    ] = Contract.ASYNCAPI,
+    ] = "asyncapi",
     file: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file to write; printed if left out.")
     ] = None,
@@ -368,7 +368,7 @@ def schema(
         from cogradar.services.analysis.export.whole import whole
         from cogradar.shared.wire.contract import asyncapi, json_schema
 
-        text = json.dumps((asyncapi if form is Contract.ASYNCAPI else json_schema).document(), indent=2) + "\n"
+        text = json.dumps((asyncapi if form == "asyncapi" else json_schema).document(), indent=2) + "\n"
         if file is not None:
             with whole(file, force=force) as part:
                 part.write_text(text, encoding="utf-8")

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from shlex import quote
+from textwrap import shorten
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -44,6 +45,11 @@ COLUMNS = (
 )
 
 
+NO_ROWS = {  # Why there may be none, of runs that are there.
+    "confirmation": 'it is about an unknown number of targets, radar.tracks = "unknown", which no run asked about has;'
+    " `cogradar query summary` says what became of each target of other runs",
+    "commands": "no command was given to this run: `cogradar command --help` says which there are",
+}
 NO_DIGEST = "none: not all of the run is there"
 SCORED = Column("scored", "{n}")  # dwells of them in which the target was there, and which came
 PICTURED = Column(
@@ -64,6 +70,7 @@ UNMEASURED = Column(
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
+MORE = " ..."  # in place of words that have no room
 FAULT_AGAIN_S = 10.0  # from a line about a front end to the next, which says something else
 STALE_SHARE, STALE_AFTER = 0.2, 20  # of waveforms in real time, and dwells, from which on it is worth a line
 
@@ -145,7 +152,7 @@ class RunDisplay(_Live):
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
             note=_fitting([row for row in now.targets if row["n"]], self._room)
-            or now.waiting_for[: max(0, self._room + 9 - len(head))],
+            or shorten(now.waiting_for, max(len(MORE), self._room + 9 - len(head)), placeholder=MORE),
         )
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Self
 
-from cogradar.services.errors import BadInput, Damaged
+from cogradar.services.errors import BadInput, Damaged, NoSuchRun
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.store.tables import ALL_ROWS
 from cogradar.shared.scenario.limits import NO_END
@@ -151,10 +151,10 @@ def selected(store: Store, selection: Selection) -> list[Run]:
     if runs:
         _check(selection, runs)
     elif set(selection.filters) == {"run"}:
-        raise BadInput(f"run = {selection.run!r}: no such run{_meant(store, 'run', selection.run) or f'; {LISTING}'}")
+        raise NoSuchRun(f"run = {selection.run!r}: no such run{_meant(store, 'run', selection.run) or f'; {LISTING}'}")
     elif selection.filters:
         chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
-        raise BadInput(f"no run with {chosen}{_meant(store, 'scenario', selection.scenario)}")
+        raise NoSuchRun(f"no run with {chosen}{_meant(store, 'scenario', selection.scenario)}")
     return runs
 
 

@@ -224,7 +224,8 @@ def test_a_campaigns_run_cannot_be_replayed(to: str, store: Store) -> None:
         replay(_stored(kept), to)
 
 
-def test_a_core_that_there_is_not_is_bad_input(file: Path) -> None:
+def test_a_core_that_there_is_not_is_bad_input(file: Path, store: Store) -> None:
     done = CliRunner().invoke(app, ["replay", "--store", str(file), "--to", "emulator"])
     assert done.exit_code == 2
-    assert "to = 'emulator': must be one of planner, allocator" in done.stderr
+    with pytest.raises(BadInput, match="to = 'emulator': must be one of planner, allocator"):
+        replay(_stored(store), "emulator")

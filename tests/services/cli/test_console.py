@@ -83,7 +83,16 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
         (["run", "smoke", "--seed", "-1"], "--seed = -1: must be an integer >= 0 and <= 9223372036854775807"),
         (["run", "smoke", "--planners", "x"], "--planners = x: must be an integer >= 1 and <= 64"),
         (["run", "smoke", "--rate", "nan"], "--rate = nan: must be a number >= 0.001 and <= 1000.0"),
-        (["run", "smoke", "--strategy", "best"], f"--strategy: 'best': must be one of {names_of(list(Strategy))}"),
+        *(
+            ([*asked, "--strategy", name], f"--strategy: {name!r}: must be one of {names_of(list(Strategy))}{cure}")
+            for asked in (["run", "smoke"], ["query", "p_d"])
+            for name, cure in (
+                ("best", "; best is a fidelity: --set radar.fidelity=best"),
+                ("unifor", "; did you mean uniform?"),
+                ("x", ""),
+            )
+        ),
+        (["replay", "--to", "emulator"], "--to = emulator: must be one of planner, allocator"),
         (["report", "a.db", "--seed", "x"], "--seed = x: must be an integer >= 0 and <= 9223372036854775807"),
         *(
             (

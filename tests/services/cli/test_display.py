@@ -73,6 +73,15 @@ def test_what_a_run_waits_for_is_shown_as_it_is() -> None:
     assert "acquiring, 4 scans" in _shown(console)
 
 
+def test_what_a_run_waits_for_is_cut_between_words_and_says_so() -> None:
+    console, waits = _console(80), f"a planner: plan of track {', '.join(map(str, range(1, 13)))} at dwell 3"
+    with RunDisplay(console, 10) as display:
+        display.report(Progress(0, 10, 3, waits, []))
+    line = next(line for line in _shown(console).splitlines() if "a planner" in line)
+    assert len(line.rstrip()) <= 80
+    assert line.rstrip().endswith(", ...")
+
+
 def test_of_an_unknown_number_of_tracks_the_live_line_says_how_many_are_confirmed() -> None:
     console = _console()
     with RunDisplay(console, 10) as display:

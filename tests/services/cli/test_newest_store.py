@@ -1,6 +1,7 @@
 """Commands that are not told a store take the newest one of build/, and say so."""
 
 import os
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ from cogradar.services.cli import answers, console
 from cogradar.services.cli.app import app
 from cogradar.services.errors import NoMetrics
 from cogradar.services.metrics import client
+from cogradar.services.recorder.journal import Journal
+from tests.services.loop import smoke_start
 
 
 @pytest.fixture
@@ -57,6 +60,33 @@ def test_query_asks_the_newest_store_only_if_no_service_answers(build: Path, mon
     with pytest.raises(NoMetrics):
         answers._answers(None, "tcp/elsewhere:1", "runs", {})
     assert asked == [console.DEFAULT_ENDPOINT, "tcp/elsewhere:1"]
+
+
+def test_a_run_that_the_newest_store_has_not_is_refused_with_the_store_and_the_option(
+    build: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def silent(*_: object) -> None:
+        raise NoMetrics("no metrics service")
+
+    monkeypatch.setattr(client, "ask_service", silent)
+    with closing(Journal(str(build / "made.db"), owner="x")) as journal:
+        journal.add_run(smoke_start())
+    for asked in (["--run", "nobody"], ["--scenario", "nothing"]):
+        done = CliRunner().invoke(app, ["query", "p_d", *asked])
+        assert done.exit_code == 2
+        assert done.stderr.strip().endswith("; asked was build/made.db: --store FILE names another store")
+    done = CliRunner().invoke(app, ["query", "p_d", "--target", "9"])
+    assert (done.exit_code, "asked was" in done.stderr) == (2, False)
+
+
+def test_an_answer_without_rows_says_why(build: Path) -> None:
+    file = str(build / "made.db")
+    with closing(Journal(file, owner="x")) as journal:
+        journal.add_run(smoke_start())
+    for metric, why in (("confirmation", 'radar.tracks = "unknown"'), ("commands", "no command was given")):
+        done = CliRunner().invoke(app, ["query", metric, "--store", file])
+        assert (done.exit_code, done.stdout.splitlines()[0]) == (0, "no rows")
+        assert why in done.stdout
 
 
 class _Opened:
