@@ -58,6 +58,12 @@ class _Run:
         self.k, self.due_s = k, None
         self.wait_s = None if periods is None else self.pacing.wait_s(periods)
 
+    def reach(self, k: int) -> None:
+        """The radar has come to dwell k. In real time it may have been away for more dwells than are kept."""
+        if self.pacing.loses_dwells and k >= self.first_open + MAX_DWELLS:
+            self.k = k
+            self.forget(k)
+
     def give_up(self, run: str, error: PluginFailed) -> Sequence[Message]:
         """Make no more waveforms: the strategy or objective of somebody's own failed, and would again."""
         log.error("%s: %s", run, error)
@@ -119,6 +125,7 @@ class AllocatorCore:
                 return _collect(self._runs[event.run], event)
             case Scan() if event.run in self._runs:
                 run = self._runs[event.run]
+                run.reach(event.k)
                 return _next(run, event.k, is_first=True) if run.tracks.take(event, run.first_open) else ()
             case Plan() | Scan():
                 self._pending.add(event)

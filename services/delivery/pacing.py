@@ -83,6 +83,10 @@ class Lockstep:
         """Whether a track goes on without a scan, having waited for it so many dwells."""
         return False
 
+    def skipped(self, _away_s: float) -> int:
+        """Dwells that the radar skips when it comes back after so long: none."""
+        return 0
+
 
 @dataclass(frozen=True)
 class RealTime:
@@ -174,6 +178,10 @@ class RealTime:
     def may_coast(self, waited: int) -> bool:
         """Whether a track goes on without a scan, having waited for it so many dwells."""
         return self.seconds(waited) > MAX_WAIT_S
+
+    def skipped(self, away_s: float) -> int:
+        """Dwells that the radar skips when it comes back after so long: no more than tracks last without a plan."""
+        return math.floor(min(away_s, COASTED_S) / self.period_s)
 
 
 Pacing = Lockstep | RealTime

@@ -29,6 +29,7 @@ from cogradar.shared.protocol.messages import (
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.slots import may_plan
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.wire.runner import TICK_S
 
@@ -310,14 +311,14 @@ class RecordedRun:
         return [of_radar.model_copy(update=now), of_emulator.model_copy(update=now | self._due())]
 
     def _due(self) -> dict[str, int]:
-        """In real time the newest scan, and the dwell that is due at least, by the clock since then.
+        """In real time the newest scan, and the dwell that is due, by the clock since then.
 
         The clock of a recorder that comes back begins with the first scan that it hears: all may have been away.
         """
         if not self.pacing.loses_dwells or (newest_k := max(self._heard_k, self.k - 1)) < 0:
             return {}
         whole_ticks = 0 if self._heard_at is None else max(self._ticks - self._heard_at - 1, 0)
-        return {"newest_k": newest_k, "due_k": newest_k + 1 + int(whole_ticks * TICK_S * self.start.rate_hz)}
+        return {"newest_k": newest_k, "due_k": min(newest_k + 1 + self.pacing.skipped(whole_ticks * TICK_S), NO_END)}
 
     @cached_property
     def _first(self) -> tuple[Checkpoint, EmulatorCheckpoint]:

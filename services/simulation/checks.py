@@ -1,10 +1,8 @@
 """What must hold of a schedule, whatever its faults: in lockstep the same run, in real time what a radar promises."""
 
 import hashlib
-import itertools
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from itertools import groupby, pairwise
 from operator import itemgetter
@@ -16,12 +14,12 @@ from cogradar.services.analysis.replay import CORES, replay
 from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
-from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.messages import ABSENT, Checkpoint, Message, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
+from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.wire.codec import decode
 
@@ -164,8 +162,8 @@ def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
     for _, of_dwell in groupby(journal.dwells(start.run, ("scan", "truth", "waveform"), from_k=first_k), itemgetter(0)):
         by_type = {type(message): message for message in (decode(payload) for _, _, payload in of_dwell)}
         match by_type.get(Waveform), by_type.get(Scan), by_type.get(Truth):
-            case Waveform() as sent, Scan() as scan, Truth() as truth:
-                in_time += (sent.late == 0).tolist()
+            case Waveform() | None as sent, Scan() as scan, Truth() as truth:
+                in_time += [False] if sent is None else (sent.late == 0).tolist()
                 fresh += [scan.waveform_k is None]
                 p_fa = float(start.scenario["radar"]["detector"]["p_fa"])
                 limits = threshold(p_fa) if scan.limits is None else scan.limits
@@ -210,14 +208,21 @@ def check_once(dwells: Iterable[Dwell]) -> None:
 def check_replayed(journal: Journal, starts: Iterable[RunStart]) -> None:
     """In real time, too, planners and allocator answered as what is journalled makes them answer. Raises Violated.
 
-    Of messages that differ the journal has the first, and counts the others: somebody may have used one of those.
+    Of messages that differ the journal has the first, and counts the others: a process may have used one of those.
     """
-    store, agreed = Store(journal), "SELECT run FROM run WHERE conflicts = 0"
-    names = {row[0] for row in journal.rows(agreed)}
-    for start, to in itertools.product([start for start in starts if start.run in names], CORES):
-        with suppress(BadInput):  # there is nothing to compare
-            if (found := replay(StoredRun(partial(answer, store), start.run), to).difference) is not None:
-                raise Violated(f"{start.run}: replayed to the {to}, it differs: {found}")
+    store, names = Store(journal), {start.run for start in starts}
+    answered = "SELECT run FROM run WHERE conflicts = 0 AND run IN (SELECT run FROM message WHERE topic = ?)"
+    for to, (_, _, kind) in CORES.items():
+        for run in [row[0] for row in journal.rows(answered, [BY_MESSAGE[kind].name]) if row[0] in names]:
+            if (found := replay(StoredRun(partial(answer, store), run), to).difference) is not None:
+                raise Violated(f"{run}: replayed to the {to}, it differs: {found}")
+
+
+def check_begins(said: Iterable[Message]) -> None:
+    """An allocator that nothing has disturbed lets tracks begin. Raises Violated."""
+    for message in said:
+        if isinstance(message, Waveform) and message.begins_none:
+            raise Violated(f"{message.run}: the waveform of dwell {message.k} begins no track")
 
 
 def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:

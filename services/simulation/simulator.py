@@ -17,6 +17,7 @@ from cogradar.services.recorder.store.check import check_run, damages
 from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
+    check_begins,
     check_in_time,
     check_journal,
     check_once,
@@ -34,7 +35,7 @@ from cogradar.services.simulation.process import Process
 from cogradar.services.simulation.schedule import AHEAD_DWELLS, LEASE_S, LINKS, POOLS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.skies import starts_of
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.protocol.messages import Checkpoint, Command
+from cogradar.shared.protocol.messages import Checkpoint, Command, RunStart
 from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
@@ -199,20 +200,28 @@ class Simulator:
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
         if schedule.pacing.has_deadlines:
-            own = [fault.settled_s for fault in schedule.faults if _is_at_radar(fault)]
-            takeover_s = schedule.takeover_s
-            for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
-                check_pace(start, self._radiated, max(own, default=0.0) + takeover_s)
-                check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
-                if all(Role.PLANNER in fault.who + fault.whom for fault in schedule.faults):
-                    check_in_time(self._journal, start)
-            again = repeated(radiated)
-            if not any(_hides_scans(fault) for fault in schedule.faults):
-                check_once(again.values())
-            check_replayed(self._journal, [start for start in starts if start.run not in again])
+            self._check_in_real_time(starts, radiated)
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given(given))))
         return found
+
+    def _check_in_real_time(self, starts: Sequence[RunStart], radiated: Sequence[Dwell]) -> None:
+        """What a radar promises that waits for nobody. Raises Violated."""
+        schedule, faults, takeover_s = self._schedule, self._schedule.faults, self._schedule.takeover_s
+        at_emulator = [fault for fault in faults if _touches(fault, Role.EMULATOR)]
+        own_s = max((fault.settled_s for fault in at_emulator), default=0.0)
+        for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
+            check_pace(start, radiated, own_s + takeover_s)
+            check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
+            if all(Role.PLANNER in fault.who + fault.whom for fault in faults):
+                check_in_time(self._journal, start)
+        again = repeated(radiated)
+        may_lack_scans = any(_touches(fault, Role.RECORDER) for fault in faults)
+        if not may_lack_scans and not any(fault.kind in LINKS for fault in at_emulator):
+            check_once(again.values())
+        if not any(_touches(fault, Role.ALLOCATOR) for fault in faults):
+            check_begins(self._cluster.said.values())
+        check_replayed(self._journal, [start for start in starts if start.run not in again])
 
     def _given(self, run: str) -> list[Order | None]:
         """What became of the commands of a run, by number: an order, or None if it was refused."""
@@ -371,13 +380,9 @@ class Simulator:
             self._disk.limit()
 
 
-def _is_at_radar(fault: Fault) -> bool:
-    return "emulator" in fault.who or "emulator" in fault.whom or fault.kind is Kind.ROUTER
-
-
-def _hides_scans(fault: Fault) -> bool:
-    """Whether the recorder may not hear of a scan that was sent, or forget it."""
-    return Role.RECORDER in fault.who or fault.kind in LINKS
+def _touches(fault: Fault, role: Role) -> bool:
+    """Whether a fault is of a process of a role, or of a link from or to one."""
+    return role in fault.who or role in fault.whom or fault.kind is Kind.ROUTER
 
 
 def _twin(fault: Fault) -> str:

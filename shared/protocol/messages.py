@@ -151,10 +151,11 @@ class EmulatorCheckpoint(Checkpoint):
 
     world: World | None  # complete: [world] of a scenario; none: a real front end, which has no such table
     world_seed: Seed
-    # In real time: dwell of the newest scan that the recorder has; none of those after it was measured, as far as it
-    # knows. None: it has none, or the run is in lockstep.
+    # In real time the newest dwell whose scan the recorder has; None: it has none, or the run is in lockstep.
     newest_k: Index | None = None
-    due_k: Index = 0  # ... and the dwell that is due at least, by its clock since then. Who begins here goes on with it
+    # ... and the dwell with which an emulator that comes back goes on: by the recorder's clock since that scan it is due,
+    # if the radar keeps its rate. The dwells between never happened.
+    due_k: Index = 0
 
 
 class Scan(Message):

@@ -5,14 +5,15 @@ from pydantic import ValidationError
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import unchanged
 from cogradar.services.allocator.waveform import coasted, waveform
+from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import FAR
-from cogradar.shared.protocol.messages import Plan, Waveform
+from cogradar.shared.protocol.messages import Plan, Scan, Waveform
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.waveform import beampattern
 from cogradar.shared.wire.codec import encode
-from tests.samples import asked
+from tests.samples import asked, sample
 from tests.scenarios import varied
 from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
 
@@ -84,6 +85,20 @@ def test_in_real_time_a_lower_checkpoint_changes_nothing() -> None:
     (answer,) = core.handle(_plan(1, k=3))
     assert isinstance(answer, Waveform)
     assert answer.k == 3
+
+
+def test_in_real_time_the_radar_may_have_been_away_for_more_dwells_than_are_kept() -> None:
+    """A scan says how far it is, which is of no other use where the number of tracks is known."""
+    core, start = AllocatorCore(), smoke_start(dwells=2000).model_copy(update={"rate_hz": 10.0})
+    core.handle(checkpoint(start))
+    core.handle(_plan(0))
+    core.handle(_plan(1, bin_=9))
+    k = MAX_DWELLS + 9
+    assert core.handle(sample(Scan, run="r", k=k, t=k)) == ()
+    core.handle(_plan(0, k=k))
+    (answer,) = core.handle(_plan(1, k=k, bin_=9))
+    assert isinstance(answer, Waveform)
+    assert answer.k == k
 
 
 def test_in_real_time_the_acquisition_waits_for_the_radar() -> None:

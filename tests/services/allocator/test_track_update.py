@@ -9,6 +9,7 @@ from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import expected, updated
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.delivery.pacing import COASTED_S
+from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform
 from cogradar.shared.protocol.roster import Roster, no_tracks
@@ -266,6 +267,15 @@ def test_in_real_time_an_allocator_that_comes_back_uses_no_number_again() -> Non
     (third,) = after.handle(_of_dwell(4, (-0.2, 40.25), (-0.4, 70.25), roster=_roster_of(second)))
     assert isinstance(third, Waveform)
     assert (_roster_of(third).ids.tolist(), third.begins_none) == ([2, 3], None)
+
+
+def test_in_real_time_the_radar_may_have_been_away_for_more_dwells_than_are_kept() -> None:
+    core = _live()
+    assert _ids(core, _of_dwell(0, (0.1, 60.25))) == [0]
+    (late,) = core.handle(_of_dwell(MAX_DWELLS + 9, roster=no_tracks()))
+    assert isinstance(late, Waveform)
+    assert late.k == MAX_DWELLS + 9
+    core.validate()
 
 
 def test_in_real_time_an_old_scan_that_is_sent_again_does_not_set_numbers_back() -> None:

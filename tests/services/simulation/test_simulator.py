@@ -18,7 +18,9 @@ from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.errors import Deposed
 from cogradar.services.planner.core import PlannerCore
+from cogradar.services.planner.owned_track import OwnedTrack
 from cogradar.services.planner.ownership import owners
+from cogradar.services.planner.run import PlannedRun
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.services.recorder.store.database import Database
@@ -355,10 +357,27 @@ def test_an_emulator_that_comes_back_and_measures_a_dwell_again_is_found(monkeyp
 
 
 def test_answers_in_real_time_that_the_journal_does_not_explain_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here of an allocator that comes back and does not say that it begins no tracks."""
-    monkeypatch.setattr(LastSentRoster, "is_followed", property(lambda _: False, lambda *_: None), raising=False)
-    monkeypatch.setattr(FoundTracks, "sent", lambda self, waveform: self._last_sent.repeated(waveform))
-    assert "replayed to the allocator" in _played(sky="unknown", rate_hz=10.0, dwells=20).violation
+    """Here of an allocator that begins no tracks and does not say so, and of a planner that looks at the clock."""
+    run = partial(_played, sky="unknown", rate_hz=10.0, dwells=20)
+    with monkeypatch.context() as without:
+        without.setattr(LastSentRoster, "is_followed", property(lambda _: False, lambda *_: None), raising=False)
+        assert "begins no track" in run().violation
+        without.setattr(FoundTracks, "sent", lambda self, waveform: self._last_sent.repeated(waveform))
+        assert "replayed to the allocator" in run().violation
+    plan = PlannedRun._plan
+
+    def by_the_clock(self: PlannedRun, track: OwnedTrack, t: int) -> Plan:
+        return plan(self, track, t).model_copy(update={"range_km": 1.0 + self._clock()})
+
+    monkeypatch.setattr(PlannedRun, "_plan", by_the_clock)
+    assert "replayed to the planner" in run().violation
+
+
+def test_an_allocator_that_makes_no_waveform_any_more_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In real time the radar goes on with the last one."""
+    take = FoundTracks.take
+    monkeypatch.setattr(FoundTracks, "take", lambda self, scan, k: scan.k < 40 and take(self, scan, k))
+    assert "of the plans are in time" in _played(sky="unknown", rate_hz=10.0, dwells=80).violation
 
 
 def test_a_recorder_that_is_not_fenced_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
