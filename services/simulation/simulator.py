@@ -206,7 +206,7 @@ class Simulator:
         return found
 
     def _check_in_real_time(self, starts: Sequence[RunStart], radiated: Sequence[Dwell]) -> None:
-        """What a radar promises that waits for nobody. Raises Violated."""
+        """What must hold of a radar that does not wait for other processes. Raises Violated."""
         schedule, faults, takeover_s = self._schedule, self._schedule.faults, self._schedule.takeover_s
         at_emulator = [fault for fault in faults if _touches(fault, Role.EMULATOR)]
         own_s = max((fault.settled_s for fault in at_emulator), default=0.0)

@@ -153,7 +153,7 @@ class EmulatorCheckpoint(Checkpoint):
     world_seed: Seed
     # In real time the newest dwell whose scan the recorder has; None: it has none, or the run is in lockstep.
     newest_k: Index | None = None
-    # ... and the dwell with which an emulator that comes back goes on: by the recorder's clock since that scan it is due,
+    # ... and the dwell with which an emulator that comes back goes on. By the recorder's clock since then it is due,
     # if the radar keeps its rate. The dwells between never happened.
     due_k: Index = 0
 
