@@ -79,7 +79,8 @@ class FoundTracks:
 
     def note(self, plan: Plan) -> None:
         """A plan has come: some planner knows with what its track began."""
-        self._last_sent.planned.add(plan.target)
+        if self._pacing.loses_dwells:  # elsewhere no birth is repeated
+            self._last_sent.planned.add(plan.target)
 
     def ids(self, k: int) -> frozenset[int] | None:
         """The tracks of dwell k; None: not known yet."""
@@ -121,6 +122,7 @@ class FoundTracks:
     def validate(self) -> None:
         """Raises BrokenInvariant."""
         require(len(self._scans) <= MAX_DWELLS, "scans of more dwells are kept than may be")
+        require(self._pacing.loses_dwells or not self._last_sent.planned, "tracks are kept that have ended")
 
 
 Tracks = AnnouncedTracks | FoundTracks

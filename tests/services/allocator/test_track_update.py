@@ -293,6 +293,24 @@ def test_in_real_time_an_old_scan_that_is_sent_again_does_not_set_numbers_back()
     assert new[0] >= alive.next_id
 
 
+@pytest.mark.parametrize("rate_hz", [0.0, 2.0])
+def test_nothing_is_kept_of_tracks_that_have_ended(rate_hz: float) -> None:
+    core, start = AllocatorCore(), sky_start(dwells=1000).model_copy(update={"rate_hz": rate_hz})
+    core.handle(checkpoint(start))
+    roster, judged = no_tracks(), {"existence": 0.0, "confirmed": False, "in_doubt": False, "modes": np.eye(3)[0]}
+    for k in range(200):
+        answers = list(core.handle(_of_dwell(k, (0.1, 60.25), roster=roster)))
+        for m in roster.ids.tolist():  # each of them ends at once
+            answers += core.handle(Plan(run="r", k=k, t=k + 1, target=m, status="ended", **judged))
+        (answer,) = answers
+        assert isinstance(answer, Waveform)
+        roster = _roster_of(answer)
+        core.validate()
+    (run,) = core._runs.values()
+    assert roster.next_id > 50
+    assert len(run.tracks._last_sent.planned) <= len(roster.ids)  # type: ignore[union-attr]
+
+
 def test_it_is_the_same_whoever_computes_it() -> None:
     scan = _scan((-0.2, 40.25), (0.3, 80.25), roster=_roster(2))
     assert scan.roster is not None
