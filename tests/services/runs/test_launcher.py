@@ -80,7 +80,7 @@ def test_no_password_is_on_a_command_line(monkeypatch: pytest.MonkeyPatch) -> No
     assert {role for role, (_, word) in started.items() if word == "hunter2"} == {"emulator", "recorder", "metrics"}
     waits = Progress(0, 5, None, cluster.EMULATOR, [])
     told = cluster._Told(lambda _: None, given.front_end).of(waits, 0.0).waiting_for
-    assert told == "recorded:postgresql://radar@127.0.0.1:1/db#r, for the emulator"
+    assert told == "front end recorded:postgresql://radar@127.0.0.1:1/db#r, for the emulator"
 
 
 def test_on_windows_the_user_is_told_what_works_there(monkeypatch: pytest.MonkeyPatch) -> None:
