@@ -7,6 +7,7 @@ import pytest
 
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import expected, updated
+from cogradar.services.allocator.tracks import FoundTracks
 from cogradar.services.allocator.waveform import waveform
 from cogradar.services.delivery.pacing import COASTED_S
 from cogradar.services.delivery.resend import MAX_DWELLS
@@ -308,7 +309,8 @@ def test_nothing_is_kept_of_tracks_that_have_ended(rate_hz: float) -> None:
         core.validate()
     (run,) = core._runs.values()
     assert roster.next_id > 50
-    assert len(run.tracks._last_sent.planned) <= len(roster.ids)  # type: ignore[union-attr]
+    assert isinstance(run.tracks, FoundTracks)
+    assert len(run.tracks._last_sent.planned) <= len(roster.ids)
 
 
 def test_it_is_the_same_whoever_computes_it() -> None:

@@ -1,6 +1,9 @@
 """A schedule of one run in lockstep, with two planners and no fault."""
 
-from cogradar.services.simulation.schedule import Schedule
+from dataclasses import replace
+
+from cogradar.services.simulation.schedule import Fault, Schedule
+from cogradar.services.simulation.simulator import Outcome, play
 
 PLAIN = Schedule(
     seed=1,
@@ -14,3 +17,8 @@ PLAIN = Schedule(
     prepares=False,
     faults=(),
 )
+
+
+def played(*faults: Fault, **changed: object) -> Outcome:
+    """What becomes of it under these faults, with some of it changed."""
+    return play(replace(PLAIN, faults=faults, **changed))  # type: ignore[arg-type]
