@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from functools import cache
 from typing import Final
 
 from pydantic import BaseModel
@@ -17,14 +18,15 @@ def meanings(kind: type[BaseModel]) -> dict[str, str]:
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
-            found |= _of(inspect.getsource(base))
+            found |= _beside(base)
     return {name: text for name, text in found.items() if name in kind.model_fields}
 
 
-def _of(source: str) -> dict[str, str]:
+@cache  # to find the source of a class takes longer than all else of a schema
+def _beside(kind: type[BaseModel]) -> dict[str, str]:
     found: dict[str, str] = {}
     before: list[str] = []
-    for line in source.splitlines():
+    for line in inspect.getsource(kind).splitlines():
         if comment := _COMMENT.fullmatch(line):
             before.append(comment[1])
             continue
