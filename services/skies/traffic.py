@@ -5,18 +5,17 @@ independent and uniform. Aircraft that are there at the start have come before i
 alone: a sky of one more has all others as they were.
 """
 
-from math import cos, pi, sin
-from typing import Any, NamedTuple
+from math import ceil, cos, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.services.skies.files import BASE, Target
+from cogradar.services.skies.files import Target
 from cogradar.shared.numerics.constants import G_KM_S2
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.world_config import WorldConfig
-from cogradar.shared.world.targets import Flights
+from cogradar.shared.scenario.world_config import TargetSection
+from cogradar.shared.world.targets import undisturbed_path
 
 LONGEST_S_KM = 15  # that an aircraft may stay, per km to the edge
 SHORTEST_S = 60
@@ -42,12 +41,9 @@ def traffic(n: int, seconds: int, range_km: float, seed: int) -> list[Target]:
 
     Their times are whole seconds. If none of the first five is there, the first of them to come begins at the start.
     """
-    world = load(BASE).simulated.model_dump()
     n_airway = [max(i // PER_AIRWAY + 2, FIRST) for i in range(n)]  # of which each aircraft follows one
     airways = [_airway(range_km, seed, i) for i in range(n_airway[-1])]
-    flown = [
-        _seen(airways[: n_airway[i]], world, range_km, seconds, generator(seed, Purpose.SKY, i, 0)) for i in range(n)
-    ]
+    flown = [_seen(airways[: n_airway[i]], range_km, seconds, generator(seed, Purpose.SKY, i, 0)) for i in range(n)]
     if all(arrival > 0 for arrival, _, _ in flown[:FIRST]):
         first = min(range(min(n, FIRST)), key=lambda i: flown[i][0])
         flown[first] = (0, *flown[first][1:])
@@ -66,7 +62,7 @@ def _airway(range_km: float, seed: int, i: int) -> Airway:
 
 
 def _seen(
-    airways: list[Airway], world: dict[str, Any], range_km: float, seconds: int, rng: np.random.Generator
+    airways: list[Airway], range_km: float, seconds: int, rng: np.random.Generator
 ) -> tuple[int, Target, NDArray[np.float64]]:
     """When an aircraft that is seen arrives, what it is then, and its states second by second, (n, 4)."""
     while True:
@@ -74,7 +70,7 @@ def _seen(
         target = _aircraft(airways[rng.integers(len(airways))], range_km, rng)
         if target["state"][0] < 0.0:
             continue
-        states = _path(WorldConfig.model_validate(world | {"targets": [target]}), range_km)
+        states = _path(TargetSection.model_validate(target), range_km)
         if len(states) >= SHORTEST_S and arrival + len(states) > SHORTEST_S:
             return arrival, target, states
 
@@ -99,15 +95,11 @@ def _aircraft(airway: Airway, range_km: float, rng: np.random.Generator) -> Targ
     return {"state": [round(float(value), 4) for value in state], "turns": turns}
 
 
-def _path(world: WorldConfig, range_km: float) -> NDArray[np.float64]:
-    """States of a world's only target, second by second, without noise, for as long as it is in view."""
-    still = world.model_copy(update={"motion": world.motion.model_copy(update={"sigma_s_km_s2": 0.0})})
-    flights, states = Flights(still, 1.0, 0), list[NDArray[np.float64]]()
-    now = flights.start()
-    while len(states) < LONGEST_S_KM * range_km and now[0, 0] >= 0.0 and np.hypot(now[0, 0], now[0, 2]) <= range_km:
-        states.append(now[0])
-        now = flights.moved(now, len(states))
-    return np.array(states)
+def _path(target: TargetSection, range_km: float) -> NDArray[np.float64]:
+    """States of a target second by second, without noise, for as long as it is in view, (n, 4)."""
+    states = undisturbed_path(target, 1.0, ceil(LONGEST_S_KM * range_km))
+    is_gone = (states[:, 0] < 0.0) | (np.hypot(states[:, 0], states[:, 2]) > range_km)
+    return states[: np.argmax(is_gone)] if is_gone.any() else states
 
 
 def _target(arrival: int, target: Target, states: NDArray[np.float64], range_km: float) -> Target:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # By `world.rcs`: what an echo's power is multiplied by is Gamma(shape, 1/shape), of mean 1. (Swerling 1954)
 _SHAPES = {"swerling1": 1.0, "swerling3": 2.0}  # many scatterers alike; one among many small ones
 
+_STEADY = (0.0, 0.0)  # noise of a target that has none
+
 
 class Flights:
     """Where the targets of a world are, clock by clock; M of them, whether they are there or not."""
@@ -64,9 +66,16 @@ class Flights:
             if course is not None:
                 out[m] = _along(course, since * self._dt)
             else:
-                rng = generator(self._seed, Purpose.MOTION, m, t)
-                out[m] = _flown(before[m], target, self._dt, since, self._sigmas[m], rng)
+                out[m] = _flown(before[m], target, self._dt, since, self._noise(m, t))
         return out
+
+    def _noise(self, m: int, t: int) -> Sequence[float]:
+        """Acceleration of target m in the dwell before clock t, km/s^2, (2,)."""
+        sigma = self._sigmas[m]
+        if sigma == 0.0:
+            return _STEADY
+        drawn: list[float] = (sigma * generator(self._seed, Purpose.MOTION, m, t).standard_normal(2)).tolist()
+        return drawn
 
     def heights(self, t: int) -> NDArray[np.float64]:
         """Heights at clock t, km, (M,)."""
@@ -110,11 +119,11 @@ def _at(course: "Akima1DInterpolator", time: float, derivative: int = 0) -> NDAr
 
 
 def _flown(
-    before: Sequence[float], target: TargetSection, dt: float, t: int, sigma_s: float, rng: np.random.Generator
+    before: Sequence[float], target: TargetSection, dt: float, t: int, noise: Sequence[float]
 ) -> Sequence[float]:
     """State of a target that flies by itself at clock t since its flight began, (4,) -> (4,); still until its birth.
 
-        s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w ~ N(0, sigma_s^2 I_2)
+        s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w the noise, N(0, sigma_s^2 I_2)
 
     A turn through the angle a in a dwell moves the target along the chord of its arc, whose velocity is that of the
     middle of the turn times sin(a/2) / (a/2). The process noise is added as without a turn. In numbers, and not in
@@ -129,8 +138,8 @@ def _flown(
     shortened, mean = 1.0 if angle == 0.0 else float(np.sinc(0.5 * angle / np.pi)), 0.5 * (1.0 + faster)
     after = list[float]()
     turned = zip(_rotated(before[1::2], 0.5 * angle), _rotated(before[1::2], angle), strict=True)
-    for place, (middle, end), normal in zip(before[0::2], turned, rng.standard_normal(2).tolist(), strict=True):
-        chord, w = middle * shortened * mean, sigma_s * normal
+    for place, (middle, end), w in zip(before[0::2], turned, noise, strict=True):
+        chord = middle * shortened * mean
         velocity = chord + dt * w
         if angle != 0.0 or faster != 1.0:
             velocity += end * faster - chord
@@ -138,6 +147,31 @@ def _flown(
     if target.stays:
         after[0] = max(after[0], 0.0)
     return after
+
+
+def undisturbed_path(target: TargetSection, dt: float, n: int) -> NDArray[np.float64]:
+    """States at clocks 0 to n - 1 of a target that is there from the start, flies by itself, and may leave, (n, 4).
+
+    Without process noise; bit for bit those of `Flights`. Straight flight is summed up at once.
+    """
+    begins = dt * np.arange(-1, n - 1)  # of the dwell before each clock
+    turning = np.zeros(n, dtype=bool)
+    for turn in target.turns:
+        turning |= (turn.from_s < begins + dt) & (turn.to_s > begins)
+    states, t = np.empty((n, 4)), 1
+    states[0] = target.state
+    while t < n:
+        if turning[t]:
+            states[t] = _flown(states[t - 1].tolist(), target, dt, t, _STEADY)
+            t += 1
+        else:
+            end = t + int(np.argmax(turning[t:])) if turning[t:].any() else n
+            velocity = states[t - 1, 1::2]
+            steps = np.broadcast_to(dt * velocity, (end - t, 2))
+            states[t:end, 0::2] = np.cumsum(np.concatenate([states[t - 1 : t, 0::2], steps]), axis=0)[1:]
+            states[t:end, 1::2] = velocity
+            t = end
+    return states
 
 
 def _manoeuvred(target: TargetSection, state: Sequence[float], begin: float, end: float) -> tuple[float, float]:

@@ -10,10 +10,10 @@ from scipy.stats import gamma, kstest
 
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.scenario.world_config import TargetSection, WorldConfig
 from cogradar.shared.tracking.motion import Motion
 from cogradar.shared.world.cell_scene import CellScene
-from cogradar.shared.world.targets import Flights, echo_amplitudes
+from cogradar.shared.world.targets import Flights, echo_amplitudes, undisturbed_path
 from tests.oracles.motion import propagate
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,23 @@ def path(target: dict[str, Any], dt: float, t: int, sigma_s: float = 0.0) -> tup
 def flown(turns: list[dict[str, float]], velocity: tuple[float, float], dt: float, t: int) -> Floats:
     """States at t = 0 .. t of a target without noise."""
     return path({"state": [30.0, velocity[0], 5.0, velocity[1]], "turns": turns}, dt, t)[0]
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.1])
+@pytest.mark.parametrize("seed", range(12))
+def test_a_path_without_noise_is_the_same_bit_for_bit_at_once_and_clock_by_clock(seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(rng.uniform(0.0, 9.0, 2 * rng.integers(4)))
+    turns = [
+        {"from_s": round(begin, 1), "to_s": round(end, 1) + 0.1, "g": round(rng.uniform(-2.0, 2.0), 2)}
+        for begin, end in zip(ends[0::2], ends[1::2] - 0.2, strict=True)
+        if end > begin
+    ]
+    state = [30.0, *rng.uniform(-0.3, 0.3, 3).tolist()]
+    target = TargetSection.model_validate({"state": state, "turns": turns})
+    np.testing.assert_array_equal(
+        undisturbed_path(target, dt, 60), path({"state": state, "turns": turns}, dt, 59)[0], strict=True
+    )
 
 
 def test_targets_move_as_the_model_says_each_with_noise_of_its_own() -> None:
