@@ -1,10 +1,14 @@
 """The command line: python -m cogradar."""
 
+import gc
 import sys
+
+NEW_OBJECTS = 20_000  # from one search for unreachable ones to the next: to load a program is no reason for hundreds
 
 
 def main() -> None:
     """Run a command. An interrupt ends it as one, also while all that a command needs is loaded: for half a second."""
+    gc.set_threshold(NEW_OBJECTS)
     try:
         from cogradar.services.cli.app import main as run
     except KeyboardInterrupt:

@@ -34,7 +34,6 @@ from cogradar.shared.wire.zenoh_bus import ZenohBus
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
 HOLDER_POLL_S = 0.1
 SETTLE_S = 0.1  # until a claim that is shown at another router is seen, too
-NEW_OBJECTS = 20_000  # from one search for unreachable ones to the next: a message of many parts is no reason for some
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
@@ -113,7 +112,6 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         if isinstance(core, Closing):
             closing.callback(core.close)
         gc.collect()
-        gc.set_threshold(NEW_OBJECTS)
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched,
         # ... nor now, when others see this process and leave a part to it
         session = open_session(connect.split(","), None, check=check)
