@@ -104,10 +104,12 @@ def run(
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
-            from cogradar.services.front_ends import settled
+            is_own = front_end != Start.front_end
+            loaded, ignores_world = as_played(loaded, front_end), is_own and loaded.world is not None
+            if is_own:
+                from cogradar.services.front_ends import settled
 
-            ignores_world = front_end != Start.front_end and loaded.world is not None
-            loaded, front_end = as_played(loaded, front_end), settled(front_end)
+                front_end = settled(front_end)
         if (in_process or connect) and (keep or http is not None):
             raise BadInput("--http and --keep: of processes that this command starts; not with --in-process, --connect")
         if in_process and (pace is Pace.REALTIME or chaos):
@@ -239,10 +241,13 @@ def _play_here(
         with closing(journal):
             from cogradar.services import kernels
             from cogradar.services.runs import cluster
-            from cogradar.services.runs.chaos import Chaos
 
             kernels.compile_all(display.notify, stop)
-        faults = Chaos(chaos, start.seed) if chaos else None
+        faults = None
+        if chaos:
+            from cogradar.services.runs.chaos import Chaos
+
+            faults = Chaos(chaos, start.seed)
 
         def keep(result: Result, endpoint: str, url: str | None) -> None:
             display.stop()

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from cogradar.services.certs import own
 from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
-from cogradar.services.front_ends import cure_of_silence
 from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.address import is_server, without_password
@@ -314,6 +313,8 @@ class _Told:
             return now
         now = replace(now, waiting_for=f"front end {self._front_end}, for {now.waiting_for}")
         if quiet_s > QUIET_S and self._silent != now.waiting_for:
+            from cogradar.services.front_ends import cure_of_silence
+
             self._silent = now.waiting_for
             self._notify(f"waiting for {now.waiting_for}{cure_of_silence(self._front_end)}")
         return now

@@ -5,7 +5,6 @@ States are [x, vx, y, vy] in km and km/s, along the last axis.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cogradar.shared.numerics.elementwise import hypot, log
 from cogradar.shared.signal.array import spatial_frequency
@@ -32,6 +31,8 @@ def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np
     errors; range decides only between targets of about one bin. Bins 0 and n_bin - 1 are different cells here, hence no
     wrapping of nu. Any finite states will do, also one at the array itself, where a target may fly.
     """
+    from scipy.optimize import linear_sum_assignment
+
     estimates, truths = (np.clip(np.asarray(s, dtype=np.float64), -FAR_KM, FAR_KM) for s in (estimates, truths))
     nu = np.subtract.outer(spatial_frequency(estimates), spatial_frequency(truths))
     log_range = np.subtract.outer(_log_range(estimates), _log_range(truths)) / LOG_RANGE_SIGMA

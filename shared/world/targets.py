@@ -152,7 +152,7 @@ def _flown(
 def undisturbed_path(target: TargetSection, dt: float, n: int) -> NDArray[np.float64]:
     """States at clocks 0 to n - 1 of a target that is there from the start, flies by itself, and may leave, (n, 4).
 
-    Without process noise; bit for bit those of `Flights`. Straight flight is summed up at once.
+    Without process noise; bit for bit as `Flights` moves it. Straight flight is summed up at once.
     """
     begins = dt * np.arange(-1, n - 1)  # of the dwell before each clock
     turning = np.zeros(n, dtype=bool)

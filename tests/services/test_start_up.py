@@ -59,3 +59,10 @@ def _loaded_after(statements: str) -> set[str]:
     script = f"import sys; {statements}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     return set(done.stdout.split())
+
+
+def test_a_run_of_several_processes_loads_no_solver_in_the_process_that_only_watches() -> None:
+    assert (
+        SOLVERS & _loaded_after("from cogradar.services.cli import runs; from cogradar.services.runs import cluster")
+        == set()
+    )
