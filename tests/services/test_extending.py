@@ -20,7 +20,7 @@ def _saved(folder: Path) -> None:
 
 @pytest.mark.parametrize("kind", [path.stem for path in sorted(TEMPLATES.glob("*.py")) if path.stem != "front_end"])
 def test_the_examples_of_the_page_are_the_files_to_begin_with(kind: str) -> None:
-    """Which tests/services/test_plugins.py plays."""
+    """The tests in tests/services/plugins play them."""
     page = Path("docs/howto/feed.md").read_text(encoding="utf-8") if kind == "feed" else PAGE
     assert f"```python\n{(TEMPLATES / kind).with_suffix('.py').read_text(encoding='utf-8')}```" in page
 
