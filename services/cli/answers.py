@@ -14,7 +14,6 @@ import typer
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.cli import completion
 from cogradar.services.cli.console import (
-    BUILD,
     DEFAULT_ENDPOINT,
     AskedOption,
     CsvOption,
@@ -27,7 +26,7 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
-    newest_store,
+    newest_instead,
     out,
     print_csv,
     print_json,
@@ -35,7 +34,7 @@ from cogradar.services.cli.console import (
     say,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
-from cogradar.services.errors import BadInput, NoMetrics, NoSuchRun, RunFailed, check_stop
+from cogradar.services.errors import BadInput, RunFailed, check_stop
 
 Rows = Sequence[dict[str, Any]]
 
@@ -110,6 +109,8 @@ def query(
     for as if they were independent. Dwells of one run are not: `cogradar
     campaign` and `report` give intervals over runs.
     """
+    from cogradar.services.metrics import client as asking
+
     parameters = filters(
         run=run_,
         scenario=scenario,
@@ -125,7 +126,8 @@ def query(
             raise BadInput("--json and --csv: one of them")
         if metric not in completion.METRICS:
             raise BadInput(f"metric = {metric!r}: must be one of {', '.join(completion.METRICS)}")
-        rows = _answers(store, connect, metric, parameters)
+        with asking.source(store, connect, partial(newest_instead, connect)) as ask:
+            rows = ask(metric, parameters)
         if columns is not None:
             rows = _only(rows, columns.split(","))
     if as_json:
@@ -134,24 +136,6 @@ def query(
         print_csv(rows)
     else:
         _show(rows, metric, chosen=columns is not None, wide=wide)
-
-
-def _answers(store: str | None, connect: str, metric: str, parameters: dict[str, str]) -> Rows:
-    """Rows of a store or a service; of the newest store in build/ if neither was named and no service answers."""
-    from cogradar.services.metrics import client as asking
-
-    try:
-        with asking.source(store, connect) as ask:
-            return ask(metric, parameters)
-    except NoMetrics:
-        if store is not None or connect != DEFAULT_ENDPOINT or (found := newest_store()) is None:
-            raise
-    say(f"{found}: the newest store in {BUILD}/; no service answers at {connect}", err)
-    try:
-        with asking.source(found, connect) as ask:
-            return ask(metric, parameters)
-    except NoSuchRun as error:
-        raise NoSuchRun(f"{error}; asked was {found}: --store FILE names another store") from None
 
 
 def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
@@ -216,7 +200,8 @@ def export(
     from cogradar.services.metrics import client as asking
     from cogradar.services.metrics.selection import dwells_of
 
-    with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
+    instead = partial(newest_instead, connect)
+    with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect, instead) as ask:
         result, among = Result(StoredRun(ask, run_)), dwells_of(dwells or ":")
         if file == "-":
             formats.send(result, sys.stdout.buffer, form, what, formats.Options(among, rate))
@@ -254,7 +239,7 @@ def replay(
     columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (
         command(at_once=True, zenoh_config=zenoh_config),
-        asking.source(store, connect) as ask,
+        asking.source(store, connect, partial(newest_instead, connect)) as ask,
         Progress(*columns, console=err, transient=True) as progress,
     ):
         stored = StoredRun(ask, run_)

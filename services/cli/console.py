@@ -84,6 +84,14 @@ def newest_store() -> str | None:
     return str(max(found, key=lambda path: path.stat().st_mtime)) if found else None
 
 
+def newest_instead(connect: str) -> str | None:
+    """The newest store in build/, which is said; None if there is none, or another endpoint than the usual one."""
+    found = newest_store() if connect == DEFAULT_ENDPOINT else None
+    if found is not None:
+        say(f"{found}: the newest store in {BUILD}/; no service answers at {connect}", err)
+    return found
+
+
 def number_of_dwells(text: str) -> int:
     """A number of dwells, or the word for no end. Raises BadParameter."""
     if text == UNLIMITED:

@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 
 from cogradar.services.certs import own
-from cogradar.services.errors import BadInput, NoMetrics
+from cogradar.services.errors import BadInput, NoMetrics, NoSuchRun
 from cogradar.services.metrics.answers import Rows, answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
@@ -40,13 +40,33 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 
 @contextmanager
-def source(store: str | None, endpoint: str) -> Iterator[Callable[[str, dict[str, str]], Rows]]:
-    """What answers (metric, parameters) with rows: a store file, or without one the service behind a router."""
-    if store is None:
-        yield partial(ask_service, endpoint)
-        return
-    with closing(Store(Journal(store, read_only=True))) as opened:
-        yield partial(answer, opened)
+def source(
+    store: str | None, endpoint: str, instead: Callable[[], str | None] = lambda: None
+) -> Iterator[Callable[[str, dict[str, str]], Rows]]:
+    """What answers (metric, parameters) with rows: a store file, or without one the service behind a router.
+
+    instead : if no service answers, the store that is asked from then on; None: there is none
+    """
+    with ExitStack() as opened:
+        file, asked = "", partial(ask_service, endpoint)
+
+        def rows(metric: str, parameters: dict[str, str]) -> Rows:
+            nonlocal file, asked
+            try:
+                return asked(metric, parameters)
+            except NoMetrics:
+                if not (file := instead() or ""):
+                    raise
+            except NoSuchRun as error:
+                if not file:
+                    raise
+                raise NoSuchRun(f"{error}; asked was {file}: --store FILE names another store") from None
+            asked = partial(answer, opened.enter_context(closing(Store(Journal(file, read_only=True)))))
+            return rows(metric, parameters)
+
+        if store is not None:
+            asked = partial(answer, opened.enter_context(closing(Store(Journal(store, read_only=True)))))
+        yield rows
 
 
 def open_store(file: str) -> Store:

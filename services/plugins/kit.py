@@ -4,7 +4,7 @@ import inspect
 import random
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -37,15 +37,22 @@ class Finding(NamedTuple):
     ok: bool
 
 
-def check(text: str, kind: str | None = None) -> list[Finding]:
-    """What is found of FILE.py, all that is in it, or of FILE.py:NAME, package.module:NAME. Raises BadInput."""
+def check(text: str, kind: str | None = None, report: Callable[[str], None] = lambda _: None) -> list[Finding]:
+    """What is found of FILE.py, all that is in it, or of FILE.py:NAME, package.module:NAME. Raises BadInput.
+
+    report : is told which thing is tried, which may take long: a receiver has to be opened
+    """
     if kind is not None and kind not in KINDS:
         raise BadInput(f"{kind}: must be one of {', '.join(KINDS)}")
     try:
         things = _things(text, kind)
     except PluginError as error:
         raise BadInput(str(error)) from None
-    return [finding for name, of in things for finding in _checked(name, of)]
+    found = list[Finding]()
+    for name, of in things:
+        report(f"{of.name} {name} is tried")
+        found += _checked(name, of)
+    return found
 
 
 def _things(text: str, kind: str | None) -> list[tuple[str, Kind]]:

@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from cogradar.services.cli import completion
-from cogradar.services.cli.console import command, out, say
-from cogradar.services.errors import RunFailed
+from cogradar.services.cli.console import command, err, out, progress, say
+from cogradar.services.errors import BadInput, RunFailed
+
+ELSEWHERE = ("zenoh:", "recorded:")  # front ends that no file of Python makes
 
 
 def new(
@@ -42,8 +44,11 @@ def check_own(text: str, kind: str | None) -> None:
     from cogradar.services.plugins import kit
 
     with command(at_once=True) as stop:
+        if text.startswith(ELSEWHERE):
+            raise BadInput(f"{text}: only a run can ask it: cogradar run SCENARIO --front-end {text} --dwells 20")
         kernels.compile_all(say, stop)
-        found = kit.check(text, kind)
+        with progress(err) as show:
+            found = kit.check(text, kind, show)
     columns = (
         Column("", "{name}", left=True),
         Column("check", "{check}", left=True),

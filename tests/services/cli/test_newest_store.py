@@ -2,16 +2,19 @@
 
 import os
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from cogradar.services.cli import answers, console
+from cogradar.services.cli import console
 from cogradar.services.cli.app import app
 from cogradar.services.errors import NoMetrics
 from cogradar.services.metrics import client
+from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
 from tests.services.loop import smoke_start
 
 
@@ -56,10 +59,31 @@ def test_query_asks_the_newest_store_only_if_no_service_answers(build: Path, mon
     monkeypatch.setattr(client, "answer", lambda *given: [{"metric": given[1]}])
     monkeypatch.setattr(client, "Journal", lambda path, **_: path)
     monkeypatch.setattr(client, "Store", _Opened)
-    assert answers._answers(None, console.DEFAULT_ENDPOINT, "runs", {}) == [{"metric": "runs"}]
-    with pytest.raises(NoMetrics):
-        answers._answers(None, "tcp/elsewhere:1", "runs", {})
+    for connect in (console.DEFAULT_ENDPOINT, "tcp/elsewhere:1"):
+        with client.source(None, connect, partial(console.newest_instead, connect)) as ask_any:
+            if connect == console.DEFAULT_ENDPOINT:
+                assert [ask_any("runs", {}), ask_any("tracks", {})] == [[{"metric": "runs"}], [{"metric": "tracks"}]]
+            else:
+                with pytest.raises(NoMetrics):
+                    ask_any("runs", {})
     assert asked == [console.DEFAULT_ENDPOINT, "tcp/elsewhere:1"]
+
+
+@pytest.mark.parametrize("command", [["replay", "--to", "planner"], ["export", "--what", "tracks", "--out", "a.csv"]])
+def test_replay_and_export_take_the_newest_store_too(
+    build: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    def silent(*_: object) -> None:
+        raise NoMetrics("no metrics service")
+
+    monkeypatch.setattr(client, "ask_service", silent)
+    with closing(Store(Journal(str(build / "made.db"), owner="x"))) as store:
+        in_process.play(smoke_start(dwells=3), store=store)
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert " ".join(done.stderr.split()).startswith("build/made.db: the newest store in build/; no service answers at ")
+    done = CliRunner().invoke(app, [*command, "other"])
+    assert (done.exit_code, "asked was build/made.db" in done.stderr) == (2, True)
 
 
 def test_a_run_that_the_newest_store_has_not_is_refused_with_the_store_and_the_option(

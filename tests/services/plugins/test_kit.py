@@ -4,16 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput
 from cogradar.services.plugins import kit, templates, trials
-from cogradar.shared.scenario.plugins import resolver, sources
-
-
-@pytest.fixture(autouse=True)
-def _allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "_allowed", sources._Allowed())
-    monkeypatch.setattr(resolver, "_found", {})
 
 
 @pytest.mark.parametrize("kind", templates.kinds())
@@ -125,3 +120,18 @@ def test_what_is_no_file_to_be_checked_is_refused(tmp_path: Path) -> None:
     templates.write("rule", tmp_path / "mine.py")
     with pytest.raises(BadInput, match="is there already"):
         templates.write("rule", tmp_path / "mine.py")
+
+
+@pytest.mark.parametrize("name", ["zenoh:roof", "zenoh:roof@tcp/127.0.0.1:7448", "recorded:build/run.db"])
+def test_a_front_end_that_is_no_file_is_named_with_the_command_that_asks_it(name: str) -> None:
+    done = CliRunner().invoke(app, ["check", name])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert f"only a run can ask it: cogradar run SCENARIO --front-end {name}" in done.stderr
+
+
+def test_a_check_says_what_it_tries_before_it_does(tmp_path: Path) -> None:
+    file, told = tmp_path / "mine.py", list[str]()
+    templates.write("front-end", file)
+    kit.check(str(file), report=told.append)
+    assert len(told) == 1
+    assert told[0].startswith(f"front-end {file}:")
