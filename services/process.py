@@ -251,7 +251,10 @@ def _settle(claim: Claim, service: Service, name: str, check: Callable[[], None]
     begun, shown = time.monotonic(), 0.0
     try:
         while True:
-            rivals, is_later = claim.rivals()
+            check()
+            if (found := claim.rivals()) is None:  # who else is there is not known
+                continue
+            rivals, is_later = found
             if not rivals and claim.is_shown and time.monotonic() >= shown + SETTLE_S:
                 return
             if not rivals and not claim.is_shown:
@@ -259,7 +262,6 @@ def _settle(claim: Claim, service: Service, name: str, check: Callable[[], None]
                 shown = time.monotonic()
             elif is_later:
                 claim.drop()
-            check()
             if rivals and time.monotonic() > begun + HOLDER_WITHIN_S:
                 who = f"another {service.role} is there already"
                 if service.scalable:

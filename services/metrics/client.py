@@ -10,6 +10,7 @@ from cogradar.services.errors import BadInput, NoMetrics, NoSuchRun
 from cogradar.services.metrics.answers import Rows, answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.store.address import shown
 from cogradar.shared.wire.queries import BadRequest, NoAnswer, ask
 from cogradar.shared.wire.session import open_session
 
@@ -48,19 +49,20 @@ def source(
     instead : if no service answers, the store that is asked from then on; None: there is none
     """
     with ExitStack() as opened:
-        file, asked = "", partial(ask_service, endpoint)
+        file, cure, asked = store or "", "", partial(ask_service, endpoint)
 
         def rows(metric: str, parameters: dict[str, str]) -> Rows:
-            nonlocal file, asked
+            nonlocal file, cure, asked
             try:
                 return asked(metric, parameters)
             except NoMetrics:
                 if not (file := instead() or ""):
                     raise
+                cure = ": --store FILE names another store"
             except NoSuchRun as error:
                 if not file:
                     raise
-                raise NoSuchRun(f"{error}; asked was {file}: --store FILE names another store") from None
+                raise NoSuchRun(f"{error}; asked was {shown(file)}{cure}") from None
             asked = partial(answer, opened.enter_context(closing(Store(Journal(file, read_only=True)))))
             return rows(metric, parameters)
 

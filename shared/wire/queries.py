@@ -20,6 +20,7 @@ MAX_QUESTION = 4096  # characters of a question's parameters
 STAYS_S = 1.0  # for which a later claim must be there: one that is only about to withdraw is gone by then
 LATEST_NS = 10**20 - 1  # since 1970, of a claim
 POLL_S = 0.002  # for the replies to a query
+LOOK_S = 1.0  # for all tokens; an answer that takes as long was cut off, and may lack some
 
 ENCODINGS = {queryable.key: zenoh.Encoding(queryable.encoding) for queryable in QUERYABLES}  # of answers
 REFUSAL = zenoh.Encoding.TEXT_PLAIN
@@ -137,14 +138,16 @@ class Claim:
         """Show it to others, before they are looked for."""
         self._token = self._session.liveliness().declare_token(self._key(self._moment, self._name))
 
-    def rivals(self) -> tuple[list[str], bool]:
+    def rivals(self) -> tuple[list[str], bool] | None:
         """Names of the processes of this role that are there, of any build, or show a claim; and whether one of these
-        claims is earlier.
+        claims is earlier. None: the answer was cut off.
         """
-        replies = self._session.liveliness().get(self._others, timeout=1.0)
-        keys = [str(reply.ok.key_expr).split("/")[-2:] for reply in replies if reply.ok is not None]
+        before_s = time.monotonic()
+        keys = [key.split("/")[-2:] for key in _keys(self._session, self._others)]
         claims = {moment: name for moment, name in keys if moment != self._moment}
         alive = names_alive(self._session, "*", self._role, self._name if self._is_of_name else "*")
+        if time.monotonic() - before_s >= LOOK_S:
+            return None
         there = {*alive, *claims.values()}
         return sorted(there), min(claims, default=self._moment) < self._moment
 
@@ -187,9 +190,14 @@ class Claim:
 
 def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:
     """Protocol, build, role and name of each."""
-    replies = session.liveliness().get(pattern, timeout=1.0)
-    keys = [str(reply.ok.key_expr).split("/")[-4:] for reply in replies if reply.ok is not None]
+    keys = [key.split("/")[-4:] for key in _keys(session, pattern)]
     return sorted((protocol, build, role, name) for protocol, build, role, name in keys)
+
+
+def _keys(session: zenoh.Session, pattern: str) -> list[str]:
+    """Of the tokens that are shown, as far as they are known in time."""
+    replies = session.liveliness().get(pattern, timeout=LOOK_S)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:

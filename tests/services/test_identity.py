@@ -20,6 +20,7 @@ from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.events import Event, Membership
 from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
+from cogradar.shared.wire import queries
 from cogradar.shared.wire.codec import encode
 from cogradar.shared.wire.queries import Claim, alive
 from cogradar.shared.wire.session import Session, open_session
@@ -89,7 +90,7 @@ def test_of_several_that_start_at_once_one_lives(
         with open_session([router], 10.0, lambda: None) as session:
             ready.wait(30.0)
             try:
-                process._check_others(SERVICES[role], Start(name), session, lambda: None)
+                claim = process._check_others(SERVICES[role], Start(name), session, lambda: None)
                 key = ALIVE.format(protocol=PROTOCOL, build=build(), role=role, name=name)
                 token = session.liveliness().declare_token(key)
             except BadInput as error:
@@ -97,6 +98,8 @@ def test_of_several_that_start_at_once_one_lives(
                 return str(error)
             looked.wait(30.0)
             token.undeclare()
+            assert claim is not None  # it is shown as long as somebody has it
+            claim.drop()
             return ""
 
     for _ in range(ROUNDS):
@@ -107,6 +110,28 @@ def test_of_several_that_start_at_once_one_lives(
         assert all(winner in text.partition(f"another {role} is there already")[2] for text in said if text)
         while _is_seen(router):
             time.sleep(0.01)
+
+
+def test_an_answer_that_was_cut_off_does_not_say_that_there_is_no_other(
+    router: str, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of what a busy router says in time, a part may be missing."""
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
+    looks = list[float]()
+
+    def late(asked: Session, pattern: str) -> list[str]:
+        looks.append(time.monotonic())
+        if len(looks) > 2:
+            return whole(asked, pattern)
+        time.sleep(queries.LOOK_S)
+        return []
+
+    whole = queries._keys
+    monkeypatch.setattr(queries, "_keys", late)
+    monkeypatch.setattr(queries, "LOOK_S", 0.3)
+    with _seen(router, Role.METRICS, "first"), pytest.raises(BadInput, match=r"^another metrics is there already"):
+        _enter(Role.METRICS, session)
+    assert len(looks) > 2
 
 
 def test_a_clock_that_is_behind_takes_no_role(router: str, session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
