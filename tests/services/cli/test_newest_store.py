@@ -99,6 +99,8 @@ def test_a_run_that_the_newest_store_has_not_is_refused_with_the_store_and_the_o
         done = CliRunner().invoke(app, ["query", "p_d", *asked])
         assert done.exit_code == 2
         assert done.stderr.strip().endswith("; asked was build/made.db: --store FILE names another store")
+        done = CliRunner().invoke(app, ["query", "p_d", *asked, "--store", "build/made.db"])
+        assert (done.exit_code, done.stderr.strip().endswith("; asked was build/made.db")) == (2, True)
     done = CliRunner().invoke(app, ["query", "p_d", "--target", "9"])
     assert (done.exit_code, "asked was" in done.stderr) == (2, False)
 
