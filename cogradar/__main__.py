@@ -3,7 +3,9 @@
 import gc
 import sys
 
-NEW_OBJECTS = 20_000  # from one search for unreachable ones to the next: to load a program is no reason for hundreds
+# From one search for unreachable ones to the next: neither a program that is loaded nor a message of many parts is a
+# reason for some.
+NEW_OBJECTS = 20_000
 
 
 def main() -> None:

@@ -31,7 +31,7 @@ from cogradar.shared.scenario.plugins.sources import settled as settled_name
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 SIMULATED = "simulated"
-_ZENOH = "zenoh:"
+ZENOH = "zenoh:"
 
 
 def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lambda: None) -> OpenFrontEnd:
@@ -44,14 +44,14 @@ def open_front_end(name: str, connect: str = "", check: Callable[[], None] = lam
         return SimulatedFrontEnd.open
     if name.startswith(RECORDED):
         return _recorded(name)
-    if name.startswith(_ZENOH):
+    if name.startswith(ZENOH):
         return _over_zenoh(name, connect, check)
     return OpensInOwnThread(*_named(name))
 
 
 def cure_of_silence(name: str) -> str:
     """What to do about a front end that opens or answers so late that it is waited for, as the end of a sentence."""
-    if name.startswith(_ZENOH):
+    if name.startswith(ZENOH):
         return ": is its process up, and at the same router?"
     if name.startswith(RECORDED) or name == SIMULATED:
         return ""
@@ -68,16 +68,16 @@ def settled(name: str) -> str:
 
 
 def _over_zenoh(name: str, connect: str, check: Callable[[], None]) -> OpenFrontEnd:
-    called, _, where = name.removeprefix(_ZENOH).partition("@")
+    called, _, where = name.removeprefix(ZENOH).partition("@")
     if not re.fullmatch(FRONT_END_NAME, called):
         raise BadInput(
-            f"{name}: must be {_ZENOH}NAME or {_ZENOH}NAME@ENDPOINT; a name has 1 to 48 letters, digits, '.', '_' and"
+            f"{name}: must be {ZENOH}NAME or {ZENOH}NAME@ENDPOINT; a name has 1 to 48 letters, digits, '.', '_' and"
             " '-', the first a letter or digit"
         )
     if not (endpoints := where or connect):
         raise BadInput(
             f"{name}: no front end can know the router of this run: say where it listens, as in"
-            f" {_ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
+            f" {ZENOH}{called}@tcp/127.0.0.1:7448, or where a router of yours does"
         )
 
     if fault := fault_of(endpoints):
@@ -145,7 +145,7 @@ def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
         made: Callable[[Settings], FrontEnd] = resolve(FRONT_END, source)
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
-        must = f"must be {SIMULATED}, {RECORDED}FILE[#RUN], {_ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
+        must = f"must be {SIMULATED}, {RECORDED}FILE[#RUN], {ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
         raise BadInput(f"{name}: {must if is_none else error}") from None
     return made, source
 

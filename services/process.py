@@ -248,20 +248,22 @@ def _settle(claim: Claim, service: Service, name: str, check: Callable[[], None]
     Each looks before it shows its claim, too: one that is shown already is not asked to withdraw. Of several that show
     theirs at once all but the earliest withdraw, and the earliest is there once it sees no other.
     """
-    begun, shown = time.monotonic(), 0.0
+    begun, shown, told = time.monotonic(), 0.0, False
     try:
         while True:
-            check()
-            if (found := claim.rivals()) is None:  # who else is there is not known
-                continue
-            rivals, is_later = found
-            if not rivals and claim.is_shown and time.monotonic() >= shown + SETTLE_S:
+            rivals, is_later, are_all = claim.rivals()
+            if not are_all and not told:
+                log.warning("the router answers late: who else is there is asked until it answers in time")
+                told = True
+            is_alone = are_all and not rivals
+            if is_alone and claim.is_shown and time.monotonic() >= shown + SETTLE_S:
                 return
-            if not rivals and not claim.is_shown:
+            if is_alone and not claim.is_shown:
                 claim.show()
                 shown = time.monotonic()
             elif is_later:
                 claim.drop()
+            check()
             if rivals and time.monotonic() > begun + HOLDER_WITHIN_S:
                 who = f"another {service.role} is there already"
                 if service.scalable:

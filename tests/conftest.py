@@ -44,5 +44,5 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests first, or all but one process wait for them at the end."""
-    items.sort(key=lambda item: "test_so_many_schedules_hold" not in item.name)
+    """Long tests first, or all but one process wait for them at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)

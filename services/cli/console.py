@@ -85,7 +85,7 @@ def newest_store() -> str | None:
 
 
 def newest_instead(connect: str) -> str | None:
-    """The newest store in build/, which is said; None if there is none, or another endpoint than the usual one."""
+    """The newest store in build/, which is said. None: there is none, or `connect` is not the default."""
     found = newest_store() if connect == DEFAULT_ENDPOINT else None
     if found is not None:
         say(f"{found}: the newest store in {BUILD}/; no service answers at {connect}", err)

@@ -104,9 +104,10 @@ def run(
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
-            is_own = front_end != Start.front_end
-            loaded, ignores_world = as_played(loaded, front_end), is_own and loaded.world is not None
-            if is_own:
+            is_simulated = front_end == Start.front_end
+            ignores_world = not is_simulated and loaded.world is not None
+            loaded = as_played(loaded, front_end)
+            if not is_simulated:
                 from cogradar.services.front_ends import settled
 
                 front_end = settled(front_end)

@@ -46,15 +46,15 @@ def source(
 ) -> Iterator[Callable[[str, dict[str, str]], Rows]]:
     """What answers (metric, parameters) with rows: a store file, or without one the service behind a router.
 
-    instead : if no service answers, the store that is asked from then on; None: there is none
+    instead : if no service answers the first question, the store that is asked from then on; None: there is none
     """
     with ExitStack() as opened:
         file, cure, asked = store or "", "", partial(ask_service, endpoint)
 
         def rows(metric: str, parameters: dict[str, str]) -> Rows:
-            nonlocal file, cure, asked
+            nonlocal file, cure, asked, instead
             try:
-                return asked(metric, parameters)
+                found = asked(metric, parameters)
             except NoMetrics:
                 if not (file := instead() or ""):
                     raise
@@ -63,6 +63,9 @@ def source(
                 if not file:
                     raise
                 raise NoSuchRun(f"{error}; asked was {shown(file)}{cure}") from None
+            else:
+                instead = lambda: None  # noqa: E731 - or one answer would be of two sources
+                return found
             asked = partial(answer, opened.enter_context(closing(Store(Journal(file, read_only=True)))))
             return rows(metric, parameters)
 

@@ -138,18 +138,17 @@ class Claim:
         """Show it to others, before they are looked for."""
         self._token = self._session.liveliness().declare_token(self._key(self._moment, self._name))
 
-    def rivals(self) -> tuple[list[str], bool] | None:
-        """Names of the processes of this role that are there, of any build, or show a claim; and whether one of these
-        claims is earlier. None: the answer was cut off.
+    def rivals(self) -> tuple[list[str], bool, bool]:
+        """Names of the processes of this role that are there, of any build, or show a claim; whether one of the claims
+        is earlier; and whether these are all: an answer may be cut off.
         """
-        before_s = time.monotonic()
-        keys = [key.split("/")[-2:] for key in _keys(self._session, self._others)]
-        claims = {moment: name for moment, name in keys if moment != self._moment}
-        alive = names_alive(self._session, "*", self._role, self._name if self._is_of_name else "*")
-        if time.monotonic() - before_s >= LOOK_S:
-            return None
-        there = {*alive, *claims.values()}
-        return sorted(there), min(claims, default=self._moment) < self._moment
+        name = self._name if self._is_of_name else "*"
+        shown, has_claims = look(self._session, self._others)
+        alive, has_alive = look(self._session, ALIVE.format(protocol=PROTOCOL, build="*", role=self._role, name=name))
+        claims = dict(key.split("/")[-2:] for key in shown)
+        claims.pop(self._moment, None)
+        there = {*(key.split("/")[-1] for key in alive), *claims.values()}
+        return sorted(there), min(claims, default=self._moment) < self._moment, has_claims and has_alive
 
     def watch(self) -> None:
         """From now on see other claims of the role."""
@@ -190,14 +189,16 @@ class Claim:
 
 def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:
     """Protocol, build, role and name of each."""
-    keys = [key.split("/")[-4:] for key in _keys(session, pattern)]
+    keys = [key.split("/")[-4:] for key in look(session, pattern)[0]]
     return sorted((protocol, build, role, name) for protocol, build, role, name in keys)
 
 
-def _keys(session: zenoh.Session, pattern: str) -> list[str]:
-    """Of the tokens that are shown, as far as they are known in time."""
+def look(session: zenoh.Session, pattern: str) -> tuple[list[str], bool]:
+    """Keys of the tokens that are shown, and whether these are all: what comes too late is missing."""
+    began_s = time.monotonic()
     replies = session.liveliness().get(pattern, timeout=LOOK_S)
-    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+    keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+    return keys, time.monotonic() - began_s < LOOK_S
 
 
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:

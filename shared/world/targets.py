@@ -152,8 +152,11 @@ def _flown(
 def undisturbed_path(target: TargetSection, dt: float, n: int) -> NDArray[np.float64]:
     """States at clocks 0 to n - 1 of a target that is there from the start, flies by itself, and may leave, (n, 4).
 
-    Without process noise; bit for bit as `Flights` moves it. Straight flight is summed up at once.
+    Without process noise; bit for bit as `Flights` moves it. Straight flight is summed up at once. Raises ValueError
+    for a target that is born later, has a trajectory, or stays in view.
     """
+    if target.trajectory is not None or target.born_s > 0.0 or target.stays:
+        raise ValueError("the target must be there from the start, without a trajectory, and may leave")
     begins = dt * np.arange(-1, n - 1)  # of the dwell before each clock
     turning = np.zeros(n, dtype=bool)
     for turn in target.turns:

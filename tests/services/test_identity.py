@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from itertools import count
 from pathlib import Path
 from threading import Barrier
 
@@ -112,26 +113,42 @@ def test_of_several_that_start_at_once_one_lives(
             time.sleep(0.01)
 
 
-def test_an_answer_that_was_cut_off_does_not_say_that_there_is_no_other(
-    router: str, session: Session, monkeypatch: pytest.MonkeyPatch
+def test_who_cannot_see_all_others_claims_nothing(
+    router: str, session: Session, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Of what a busy router says in time, a part may be missing."""
+    """Of what a busy router says in time, a part may be missing: here the first five answers to two questions each."""
     monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
-    looks = list[float]()
+    n_asked, shown, look, show = count(), list[int](), queries.look, Claim.show
 
-    def late(asked: Session, pattern: str) -> list[str]:
-        looks.append(time.monotonic())
-        if len(looks) > 2:
-            return whole(asked, pattern)
-        time.sleep(queries.LOOK_S)
-        return []
+    def cut_off(asked: Session, pattern: str) -> tuple[list[str], bool]:
+        return ([], False) if next(n_asked) < 10 else look(asked, pattern)
 
-    whole = queries._keys
-    monkeypatch.setattr(queries, "_keys", late)
-    monkeypatch.setattr(queries, "LOOK_S", 0.3)
+    def told(claim: Claim) -> None:
+        shown.append(next(n_asked))
+        show(claim)
+
+    monkeypatch.setattr(queries, "look", cut_off)
+    monkeypatch.setattr(Claim, "show", told)
     with _seen(router, Role.METRICS, "first"), pytest.raises(BadInput, match=r"^another metrics is there already"):
         _enter(Role.METRICS, session)
-    assert len(looks) > 2
+    assert shown == []
+    assert caplog.text.count("the router answers late") == 1
+
+
+def test_a_rival_that_is_seen_counts_although_others_may_be_missing(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
+    monkeypatch.setattr(queries, "look", lambda *_: (["a/b/first"], False))
+    with pytest.raises(BadInput, match=r"^another metrics is there already: first"):
+        _enter(Role.METRICS, session)
+
+
+def test_what_comes_too_late_is_said_to_be_missing(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = ALIVE.format(protocol=PROTOCOL, build="*", role=Role.METRICS, name="*")
+    assert queries.look(session, key) == ([], True)
+    monkeypatch.setattr(queries, "LOOK_S", 1e-9)
+    assert queries.look(session, key)[1] is False
 
 
 def test_a_clock_that_is_behind_takes_no_role(router: str, session: Session, monkeypatch: pytest.MonkeyPatch) -> None:

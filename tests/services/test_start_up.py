@@ -61,8 +61,10 @@ def _loaded_after(statements: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_a_run_of_several_processes_loads_no_solver_in_the_process_that_only_watches() -> None:
-    assert (
-        SOLVERS & _loaded_after("from cogradar.services.cli import runs; from cogradar.services.runs import cluster")
-        == set()
+def test_the_process_that_starts_and_watches_a_run_loads_no_solver_and_no_receiver() -> None:
+    loaded = _loaded_after(
+        "from cogradar.services.cli import runs; from cogradar.services.runs import cluster, launcher;"
+        " from cogradar.services import kernels"
     )
+    others = {"front_ends", "emulator.simulated", "runs.chaos", "runs.in_process"}
+    assert (SOLVERS | {f"cogradar.services.{name}" for name in others}) & loaded == set()

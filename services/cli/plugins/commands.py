@@ -9,8 +9,6 @@ from cogradar.services.cli import completion
 from cogradar.services.cli.console import command, err, out, progress, say
 from cogradar.services.errors import BadInput, RunFailed
 
-ELSEWHERE = ("zenoh:", "recorded:")  # front ends that no file of Python makes
-
 
 def new(
     kind: Annotated[
@@ -41,13 +39,16 @@ def check_own(text: str, kind: str | None) -> None:
     from cogradar.services import kernels
     from cogradar.services.analysis.tables import Column, Table
     from cogradar.services.cli.terminal import print_tables
+    from cogradar.services.front_ends import ZENOH, settled
     from cogradar.services.plugins import kit
+    from cogradar.services.recorder.store.address import RECORDED
 
     with command(at_once=True) as stop:
-        if text.startswith(ELSEWHERE):
-            raise BadInput(f"{text}: only a run can ask it: cogradar run SCENARIO --front-end {text} --dwells 20")
+        if text.startswith((ZENOH, RECORDED)):
+            name = settled(text)
+            raise BadInput(f"{text}: only a run can ask it: cogradar run SCENARIO --front-end '{name}' --dwells 20")
         kernels.compile_all(say, stop)
-        with progress(err) as show:
+        with progress(err, each_s=0.0) as show:
             found = kit.check(text, kind, show)
     columns = (
         Column("", "{name}", left=True),

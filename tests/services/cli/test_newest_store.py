@@ -69,6 +69,25 @@ def test_query_asks_the_newest_store_only_if_no_service_answers(build: Path, mon
     assert asked == [console.DEFAULT_ENDPOINT, "tcp/elsewhere:1"]
 
 
+def test_a_service_that_has_answered_is_not_left_for_a_store(build: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or one file would be of two sources."""
+    assert build.is_dir()
+    answers = iter([[{"n": 1}]])
+
+    def ask(*_: object) -> object:
+        try:
+            return next(answers)
+        except StopIteration:
+            raise NoMetrics("no metrics service") from None
+
+    monkeypatch.setattr(client, "ask_service", ask)
+    connect = console.DEFAULT_ENDPOINT
+    with client.source(None, connect, partial(console.newest_instead, connect)) as ask_any:
+        assert ask_any("runs", {}) == [{"n": 1}]
+        with pytest.raises(NoMetrics):
+            ask_any("runs", {})
+
+
 @pytest.mark.parametrize("command", [["replay", "--to", "planner"], ["export", "--what", "tracks", "--out", "a.csv"]])
 def test_replay_and_export_take_the_newest_store_too(
     build: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]

@@ -1,6 +1,7 @@
 """What `cogradar check FILE.py` finds, and the files of `cogradar new`."""
 
 import re
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,12 @@ from typer.testing import CliRunner
 
 from cogradar.services.cli.app import app
 from cogradar.services.errors import BadInput
+from cogradar.services.front_ends import open_front_end
+from cogradar.services.metrics.store import Store
 from cogradar.services.plugins import kit, templates, trials
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from tests.services.loop import smoke_start
 
 
 @pytest.mark.parametrize("kind", templates.kinds())
@@ -122,16 +128,37 @@ def test_what_is_no_file_to_be_checked_is_refused(tmp_path: Path) -> None:
         templates.write("rule", tmp_path / "mine.py")
 
 
-@pytest.mark.parametrize("name", ["zenoh:roof", "zenoh:roof@tcp/127.0.0.1:7448", "recorded:build/run.db"])
-def test_a_front_end_that_is_no_file_is_named_with_the_command_that_asks_it(name: str) -> None:
-    done = CliRunner().invoke(app, ["check", name])
-    assert (done.exit_code, done.stdout) == (2, "")
-    assert f"only a run can ask it: cogradar run SCENARIO --front-end {name}" in done.stderr
+def test_a_front_end_that_is_no_file_is_named_with_a_command_that_asks_it(tmp_path: Path) -> None:
+    file = str(tmp_path / "made.db")
+    with closing(Store(Journal(file, owner="x"))) as store:
+        run = in_process.play(smoke_start(dwells=3), store=store).run["run"]
+    for name, asks in (
+        ("zenoh:roof@tcp/127.0.0.1:7448", "zenoh:roof@tcp/127.0.0.1:7448"),
+        (f"recorded:{file}", f"recorded:{file}#{run}"),
+    ):
+        done = CliRunner().invoke(app, ["check", name])
+        assert (done.exit_code, done.stdout) == (2, "")
+        assert f"only a run can ask it: cogradar run SCENARIO --front-end '{asks}'" in done.stderr
+        open_front_end(asks)
+    for name, wrong in (("zenoh:roof", "say where it listens"), ("recorded:no.db", "no such file")):
+        done = CliRunner().invoke(app, ["check", name])
+        assert (done.exit_code, wrong in done.stderr, "only a run" in done.stderr) == (2, True, False)
 
 
 def test_a_check_says_what_it_tries_before_it_does(tmp_path: Path) -> None:
-    file, told = tmp_path / "mine.py", list[str]()
-    templates.write("front-end", file)
-    kit.check(str(file), report=told.append)
-    assert len(told) == 1
-    assert told[0].startswith(f"front-end {file}:")
+    file, opened = tmp_path / "mine.py", tmp_path / "opened"
+    file.write_text(
+        "from pathlib import Path\n\n\nclass Mine:\n    def __init__(self, settings):\n"
+        f"        Path({str(opened)!r}).touch()\n        raise OSError('no cable')\n\n"
+        "    def transmit(self, k, t, waveform):\n        pass\n\n    def close(self):\n        pass\n"
+    )
+
+    def stop(said: str) -> None:
+        raise KeyboardInterrupt(said)
+
+    with pytest.raises(KeyboardInterrupt, match=rf"^front-end {file}:Mine is tried$"):
+        kit.check(str(file), report=stop)
+    assert not opened.exists()
+    done = CliRunner().invoke(app, ["check", str(file)])
+    assert (done.exit_code, opened.exists()) == (1, True)
+    assert f"front-end {file}:Mine is tried" in done.stderr

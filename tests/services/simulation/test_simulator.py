@@ -363,6 +363,7 @@ def test_who_takes_a_track_plans_for_it_from_the_first_dwell_on_that_is_not_ackn
 # All together.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", range(1, IN_CI, LOT))
 def test_so_many_schedules_hold(first: int) -> None:
     """A failing seed is shown with its faults by `cogradar simulate --replay SEED`."""

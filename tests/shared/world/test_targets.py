@@ -48,16 +48,24 @@ def flown(turns: list[dict[str, float]], velocity: tuple[float, float], dt: floa
 def test_a_path_without_noise_is_the_same_bit_for_bit_at_once_and_clock_by_clock(seed: int, dt: float) -> None:
     rng = np.random.default_rng(seed)
     ends = np.cumsum(rng.uniform(0.0, 9.0, 2 * rng.integers(4)))
+    kinds = {"g": (-2.0, 2.0), "rate_deg_s": (-9.0, 9.0), "speed_km_s": (0.1, 0.4)}
     turns = [
-        {"from_s": round(begin, 1), "to_s": round(end, 1) + 0.1, "g": round(rng.uniform(-2.0, 2.0), 2)}
-        for begin, end in zip(ends[0::2], ends[1::2] - 0.2, strict=True)
+        {"from_s": round(begin, 1), "to_s": round(end, 1) + 0.1, kind: round(rng.uniform(*kinds[kind]), 2)}
+        for begin, end in zip(ends[0::2] * (seed % 3 > 0), ends[1::2] - 0.2, strict=True)
+        for kind in [rng.choice(list(kinds))]
         if end > begin
-    ]
+    ][: 1 if seed % 3 == 0 else None]
     state = [30.0, *rng.uniform(-0.3, 0.3, 3).tolist()]
     target = TargetSection.model_validate({"state": state, "turns": turns})
     np.testing.assert_array_equal(
         undisturbed_path(target, dt, 60), path({"state": state, "turns": turns}, dt, 59)[0], strict=True
     )
+
+
+@pytest.mark.parametrize("wrong", [{"born_s": 3.0}, {"stays": True}])
+def test_a_path_of_a_target_that_flies_otherwise_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="from the start"):
+        undisturbed_path(TargetSection.model_validate({"state": [30.0, 0.1, 5.0, 0.1]} | wrong), 1.0, 5)
 
 
 def test_targets_move_as_the_model_says_each_with_noise_of_its_own() -> None:

@@ -327,9 +327,9 @@ def test_reports_are_of_the_other_runs_and_name_the_damaged_one(
     assert (other.exit_code, other.stderr) == (0, "")
 
 
-def test_figures_are_of_the_other_runs_too(name: str, tmp_path: Path) -> None:
-    """They ask as a report does, and take longer to draw than all tables of it."""
-    _damage(name, "score", "k", np.random.default_rng(3), KEPT)
+@pytest.mark.parametrize(("table", "column"), [("score", "k"), ("run", "document")])
+def test_figures_are_of_the_other_runs_too(name: str, table: str, column: str, tmp_path: Path) -> None:
+    _damage(name, table, column, np.random.default_rng(3), KEPT)
     drawn = CliRunner().invoke(app, ["figures", "--out", str(tmp_path / "figures"), name])
     assert (drawn.exit_code, drawn.stderr.split()[:2]) == (2, ["left", "out:"])
     assert list((tmp_path / "figures").glob("*.png"))
