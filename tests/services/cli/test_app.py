@@ -263,7 +263,7 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     (row,) = json.loads(_cogradar("query", "runs", "--store", file, "--json").stdout)
     assert (row["status"], row["reason"]) == ("stopped", "by user")
     unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
-    told = "run = 'nosuchrun': no such run; `cogradar query runs` lists those that are there"
+    told = f"run = 'nosuchrun': no such run; `cogradar query runs` lists those that are there; asked was {file}"
     assert (unknown.returncode, unknown.stderr.strip()) == (2, told)
 
 
