@@ -49,14 +49,14 @@ def source(
     instead : if no service answers the first question, the store that is asked from then on; None: there is none
     """
     with ExitStack() as opened:
-        file, cure, asked = store or "", "", partial(ask_service, endpoint)
+        file, cure, asked, has_answered = store or "", "", partial(ask_service, endpoint), False
 
         def rows(metric: str, parameters: dict[str, str]) -> Rows:
-            nonlocal file, cure, asked, instead
+            nonlocal file, cure, asked, has_answered
             try:
                 found = asked(metric, parameters)
             except NoMetrics:
-                if not (file := instead() or ""):
+                if has_answered or not (file := instead() or ""):  # one answer is never of two sources
                     raise
                 cure = ": --store FILE names another store"
             except NoSuchRun as error:
@@ -64,7 +64,7 @@ def source(
                     raise
                 raise NoSuchRun(f"{error}; asked was {shown(file)}{cure}") from None
             else:
-                instead = lambda: None  # noqa: E731 - or one answer would be of two sources
+                has_answered = True
                 return found
             asked = partial(answer, opened.enter_context(closing(Store(Journal(file, read_only=True)))))
             return rows(metric, parameters)
