@@ -308,7 +308,7 @@ def test_a_store_whose_version_cannot_be_read_is_opened_when_it_is_written_again
     with psycopg.connect(url.partition("&schema")[0], autocommit=True) as db:
         db.execute("TRUNCATE runs.store")
         db.execute("INSERT INTO runs.store VALUES (%s)", [SCHEMA_VERSION])
-    guide = Path(__file__).parents[4] / "docs" / "howto" / "postgresql.md"
+    guide = Path(__file__).parents[5] / "docs" / "howto" / "postgresql.md"
     assert f"cogradar.store VALUES ({SCHEMA_VERSION})" in guide.read_text(encoding="utf-8")
     with closing(Journal(url, owner="recorder")) as journal:
         assert Recorder(journal, resume=True).trouble == ""
