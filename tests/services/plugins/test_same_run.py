@@ -1,6 +1,7 @@
 """A user's own things, from a folder of hers: the same run everywhere."""
 
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ def test_in_process_by_name_and_as_objects_it_is_the_same_run(folder: Path) -> N
     assert digest != in_process.play(RunStart.of(load("smoke"), strategy_of("uniform"), 1, 12)).run["digest"]
     files = ("rule.py", "belief.py", "strategy.py", "disturbance.py")
     namespace: dict[str, Any] = {}  # as a notebook has them
-    exec("\n".join((folder / file).read_text() for file in files), namespace)  # noqa: S102 - they are ours
+    for file in files:
+        namespace |= run_path(str(folder / file), run_name="__main__")
     result = cogradar.run(
         "smoke",
         strategy=namespace["strongest"],

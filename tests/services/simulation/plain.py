@@ -1,6 +1,7 @@
 """A schedule of one run in lockstep, with two planners and no fault."""
 
 from dataclasses import replace
+from typing import Any
 
 from cogradar.services.simulation.schedule import Fault, Schedule
 from cogradar.services.simulation.simulator import Outcome, play
@@ -19,6 +20,6 @@ PLAIN = Schedule(
 )
 
 
-def played(*faults: Fault, **changed: object) -> Outcome:
+def played(*faults: Fault, **changed: Any) -> Outcome:
     """What becomes of it under these faults, with some of it changed."""
-    return play(replace(PLAIN, faults=faults, **changed))  # type: ignore[arg-type]
+    return play(replace(PLAIN, faults=faults, **changed))
