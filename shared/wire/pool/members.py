@@ -213,11 +213,14 @@ class Pool:
         """Whether its tokens are not what it showed, or others have claims to what it serves: it begins anew then.
 
         What is asked may be answered by what this session knows. So its threads get the time to learn what has
-        happened: they have been frozen, too.
+        happened: they have been frozen, too. Beside other work an answer may lack tokens of which this session was
+        told before: they count, too.
         """
         self._tokens.wait(WAKE_S)
         there = self._all()
         own = {token.shard for token in there if token.moment == self._shares.moment}
+        for token, is_there in list(self._tokens.arrived):
+            (there.add if is_there else there.discard)(token)
         others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
         is_seen = self._tokens.n_lost == self._n_known and own >= self._shown.keys()
         if is_seen and not any(shard in self.held for shard, _ in others):
