@@ -107,7 +107,14 @@ class RecordedRun:
         self._heard_at: int | None = None  # ... and tick at which it came; None: before the first one
 
     def check(self, message: OfDwell | Snapshot) -> None:
-        """Refuse a message that does not match the run's number of dwells, of tracks or of targets."""
+        """Refuse a message that does not match the run's number of dwells, of tracks or of targets.
+
+        Likewise one of a dwell to which no process comes by what this journal says: its sender was told of more.
+        """
+        there = self.acknowledged[0]
+        if not self.pacing.may_answer(message.k - there):
+            why = "was an older journal put in place?"
+            raise Refused(f"dwell {message.k}, though only those before {there} are acknowledged: {why}")
         check_dwell(message.k, self._radar, self.start.dwells, getattr(message, "t", 0))
         match message:
             case Snapshot():

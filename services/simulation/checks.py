@@ -198,6 +198,13 @@ def repeated(radiated: Iterable[Dwell]) -> dict[str, Dwell]:
     return found
 
 
+def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float]], settled_s: float) -> None:
+    """Once planners have shared the tracks, each is planned by one of them. Raises Violated."""
+    for (run, k, target), at_s in planned.items():
+        if len(at_s) > 1 and min(at_s.values()) >= settled_s:
+            raise Violated(f"{run}: dwell {k} of track {target + 1} is planned by {' and '.join(sorted(at_s))}")
+
+
 def check_once(dwells: Iterable[Dwell]) -> None:
     """In real time no dwell is repeated once tracks are followed: others know its first scan. Raises Violated."""
     for dwell in dwells:

@@ -6,7 +6,7 @@ tokens, and the supervisor that restarts processes.
 
 import heapq
 import itertools
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -23,7 +23,8 @@ from cogradar.services.simulation.network.links import LIVELINESS, Links
 from cogradar.services.simulation.network.tokens import SeenTokens, TokenSpace
 from cogradar.services.simulation.process import SPIN, Clock, Process
 from cogradar.shared.protocol.events import Event, Membership, Shards, Tick
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Refused, RunStart
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Plan, Refused, RunStart
+from cogradar.shared.protocol.recovery import History
 from cogradar.shared.protocol.topics import ALL_SHARDS, BY_MESSAGE, Role, shard_of
 from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.pool.members import Pool
@@ -43,7 +44,7 @@ class Asking:
     """
 
     def __init__(self, starts: Sequence[RunStart], commands: Sequence[Command]) -> None:
-        self._commands = commands
+        self.commands = list(commands)
         self._open = {start.run: start for start in starts}
         self._unheard = {start.run: ASK_TICKS - 1 for start in starts}  # ticks since a checkpoint
 
@@ -58,10 +59,14 @@ class Asking:
                 for run in self._open:
                     self._unheard[run] += 1
                 starts = [start for run, start in self._open.items() if self._unheard[run] % ASK_TICKS == 0]
-                return [*starts, *(command for command in self._commands if command.run in self._open)]
+                return [*starts, *filter(self.is_open, self.commands)]
             case _:
                 pass
         return ()
+
+    def is_open(self, command: Command) -> bool:
+        """Whether its run is not over, as far as it has heard."""
+        return command.run in self._open
 
 
 # Something that happens at a time: when, a number that no other has, and what.
@@ -102,6 +107,8 @@ class Cluster:
         self._recorder_began = False
         self._away: Counter[str] = Counter()  # by key: how often the runs of a process are elsewhere
         self.said: dict[bytes, Message] = {}  # by what it is on the wire
+        # Who sent a plan of a run's dwell and track, and when first.
+        self.planned: defaultdict[tuple[str, int, int], dict[str, float]] = defaultdict(dict)
 
     def at(self, at_s: float, do: Callable[[], None]) -> None:
         """Let something happen then."""
@@ -119,6 +126,13 @@ class Cluster:
         """Start an operator that begins these runs, at once, and commands them."""
         self._add("operator", "operator", Role.OPERATOR, Asking(starts, commands))
         self._handle(self.processes["operator"], Tick(0.0))
+
+    def command(self, command: Command) -> None:
+        """Let the operator ask for one more command, now and at each tick."""
+        operator = self.processes["operator"]
+        if isinstance(operator.core, Asking) and operator.core.is_open(command):
+            operator.core.commands.append(command)
+            self.publish(operator, command)
 
     def start(self, key: str, name: str = "") -> None:
         """Start a process, which knows nothing; it is called as its key if it has no other name."""
@@ -179,8 +193,12 @@ class Cluster:
         """Send a message to all its readers."""
         self._check_serves(sender, message)
         topic, payload = BY_MESSAGE[type(message)], encode(message)
+        if isinstance(message, History) and not self.said.keys() >= set(message.payloads):
+            raise Violated(f"{sender.name} recalls a {message.topic} of {message.run} that was never sent")
         to = getattr(message, "to", None)
         self.said[payload] = message
+        if isinstance(message, Plan):
+            self.planned[message.run, message.k, message.target].setdefault(sender.name, self.now_s)
         for reader in self.processes.values():
             if reader is not sender and reader.role in topic.readers and to in {None, reader.name, reader.role.value}:
                 self.counts["sent"] += 1

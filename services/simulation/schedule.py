@@ -91,6 +91,7 @@ DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.ROT, Kind.RESTORED, Kin
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 # In real time nothing can be repeated, and no role runs twice at once.
 _OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN, Kind.ROT})
+_PUTS_BACK = frozenset({Kind.RESTORED, Kind.UNSYNCED})  # an older journal
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {
     Kind.LOSS: (0.02, 0.7),
@@ -135,9 +136,10 @@ class Asked:
     run: int  # its place among the runs
     action: Action
     at: int  # not before this dwell
+    asked_s: float = 0.0  # when, after the run was asked for
 
     def __str__(self) -> str:
-        return f"run {self.run}, dwell {self.at}: {self.action!r}"
+        return f"run {self.run}, dwell {self.at}, {self.asked_s:.4f} s: {self.action!r}"
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ class Schedule:
         faulty = replace(made, faults=(*made._faults(rng), *made._rare(), *others, *made._rotten()))
         if not rate_hz:
             is_commanded = rng.random() < COMMANDED
-            return replace(faulty, commands=faulty._commands(rng)) if is_commanded else faulty
+            return replace(faulty, commands=faulty._over_time(faulty._commands(rng))) if is_commanded else faulty
         return faulty._limited()
 
     @property
@@ -299,6 +301,17 @@ class Schedule:
         n = int(rng.integers(1, MOST_COMMANDS + 1))
         chosen = zip(rng.integers(len(actions), size=n).tolist(), rng.integers(DWELLS, size=n).tolist(), strict=True)
         return tuple(Asked(int(rng.integers(self.runs)), actions[i], at) for i, at in chosen)
+
+    def _over_time(self, commands: tuple[Asked, ...]) -> tuple[Asked, ...]:
+        """In half of the schedules commands are asked while a run goes on, each for the next dwell that it can shape.
+
+        Not where a journal is put back: what it lacks would be granted for another dwell, and messages that are on
+        their way were made under the order that is lost (`docs/reliability.md`).
+        """
+        rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 7)
+        if rng.random() < 0.5 or any(fault.kind in _PUTS_BACK for fault in self.faults):
+            return commands
+        return tuple(replace(one, at=0, asked_s=float(rng.random()) * _LOCKSTEP_S) for one in commands)
 
     def _limited(self) -> Self:
         """In real time: commands that limit what is radiated, of one emulator, which then has some dwells to obey."""

@@ -1,7 +1,7 @@
 """One schedule from its beginning to its end: the faults come and go, and then everything must come right."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -22,6 +22,7 @@ from cogradar.services.simulation.checks import (
     check_journal,
     check_once,
     check_pace,
+    check_planned_once,
     check_power,
     check_recovered,
     check_replayed,
@@ -40,6 +41,7 @@ from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
 WITHIN_S = 20.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
+SHARED_S = 5.0  # ... planners have shared the tracks
 SETTLED_S = 15.0  # of the end of the last fault, or of the last dwell: all shards of a pool are shared again
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
@@ -117,9 +119,12 @@ class Simulator:
         for name in self._schedule.names:
             cluster.start(name)
         if begins_s := self._schedule.begins_s:
-            cluster.at(begins_s, partial(cluster.ask, self._starts, self._commands))
+            cluster.at(begins_s, self._ask)
         else:
-            cluster.ask(self._starts, self._commands)
+            self._ask()
+        for asked, command in zip(self._schedule.commands, self._commands, strict=True):
+            if asked.asked_s:
+                cluster.at(begins_s + asked.asked_s, partial(cluster.command, command))
         for fault in self._schedule.faults:
             cluster.at(fault.at_s, partial(self._begin, fault))
             if fault.until_s < math.inf:
@@ -131,6 +136,12 @@ class Simulator:
             if not (self._schedule.is_rotten and isinstance(error, Damaged)):  # all is held, or cannot be read here
                 violation = f"{type(error).__name__}: {error}"
         return Outcome(self._schedule, violation, cluster.now_s, cluster.counts["handled"], found)
+
+    def _ask(self) -> None:
+        """Start an operator, with the commands that have been asked by now."""
+        asked_s = self._cluster.now_s - self._schedule.begins_s
+        both = zip(self._schedule.commands, self._commands, strict=True)
+        self._cluster.ask(self._starts, [command for asked, command in both if asked.asked_s <= asked_s])
 
     def _let_run(self) -> None:
         """Until all runs are over, which must be soon after the last fault. Raises Violated."""
@@ -191,11 +202,13 @@ class Simulator:
         damaged = self._damaged()
         starts = [start for start in self._starts if start.run not in damaged]
         radiated = [dwell for dwell in self._radiated if dwell.run not in damaged]
+        self._check_believed(damaged)
         given = {start.run: self._given(start.run) for start in starts}
         check_power(starts, radiated, given)
         if starts:
             check_journal(self._journal, starts, said)
         check_waveforms(starts, radiated, said.values())
+        check_planned_once(self._cluster.planned, schedule.quiet_s + SHARED_S)
         if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
@@ -204,6 +217,18 @@ class Simulator:
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given(given))))
         return found
+
+    def _check_believed(self, damaged: Collection[str]) -> None:
+        """Runs whose damage a reader finds did not come to another end by it. Raises Violated."""
+        for run in sorted(damaged) if not self._disk.refused else ():
+            try:
+                ((row,), _) = (self._journal.stored(table, "WHERE run = ?", [run]) for table in ("run", "command"))
+                given = {run: self._given(run)}
+            except (Damaged, ValueError):  # the damage is in what says so
+                continue
+            _, _, expected, *_ = undisturbed(self._schedule.plain(self._as_given(given)))[run]
+            if row["status"] == "complete" and row["digest"] != expected:
+                raise Violated(f"{run}: its damage was believed: digest {row['digest']}, but undisturbed {expected}")
 
     def _check_in_real_time(self, starts: Sequence[RunStart], radiated: Sequence[Dwell]) -> None:
         """What must hold of a radar that does not wait for other processes. Raises Violated."""
@@ -315,7 +340,7 @@ class Simulator:
                 cluster.kill(fault.who)
                 (self._disk.restore if fault.kind is Kind.RESTORED else self._disk.cut_back)()
                 self._start(fault.who)
-                cluster.ask(self._starts, self._commands)  # runs that the journal lacks are begun again
+                self._ask()  # runs that the journal lacks are begun again
             case _:
                 pass
 

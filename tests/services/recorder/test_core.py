@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.protocol.events import Tick
@@ -70,6 +71,19 @@ def test_order_of_arrival_and_repetition_do_not_matter(sent: list[Message]) -> N
     assert _rows(one) == _rows(other)
     columns = "SELECT digest, acknowledged_k, acknowledged_t, status, conflicts FROM run"
     assert one.read(columns) == other.read(columns)
+
+
+def test_what_no_process_comes_to_with_this_journal_is_refused(sent: list[Message]) -> None:
+    """In lockstep: a journal that was put back is behind what its processes were told. They would go on with dwells
+    that this one never comes to, as orders that are granted again shape others.
+    """
+    (start, *_), last = sent, scans(sent)[-1]
+    far = last.model_copy(update={"k": MAX_AHEAD_DWELLS})
+    core = RecorderCore(journal := _recorded([start]), resume=True)
+    with pytest.raises(Refused, match=f"dwell {far.k}, though only those before 0 are .* was an older journal put in"):
+        core.handle(far)
+    core.handle(far.model_copy(update={"k": far.k - 1}))
+    assert [row["k"] for row in _rows(journal)] == [far.k - 1]
 
 
 def test_a_message_that_differs_from_the_first_is_counted_and_refused(sent: list[Message]) -> None:

@@ -11,6 +11,7 @@ import pytest
 from cogradar.services.delivery import pacing
 from cogradar.services.delivery.order_book import URGENT_COMMANDS
 from cogradar.services.errors import NoRoom
+from cogradar.services.recorder import core
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
@@ -68,10 +69,11 @@ def sky() -> list[Message]:
 
 @pytest.fixture(autouse=True)
 def _soon(smoke: list[Message], sky: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
-    """After these runs, which no recorder lets go on, were played."""
+    """After these runs were played: none comes farther ahead of the journal than that."""
     assert smoke
     assert sky
     monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AHEAD)
+    monkeypatch.setattr(core, "CHECKPOINT_DWELLS", 1)
 
 
 def _command(n: int, action: Action, at: int = 0) -> Command:

@@ -2,20 +2,32 @@
 
 import itertools
 import math
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cogradar.services.delivery.pacing import Lockstep, RealTime
 from cogradar.services.emulator import core as emulator
 from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.planner.held_tracks import HeldTracks
+from cogradar.services.recorder import core as recorder
+from cogradar.services.recorder import journal
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recall import recalled
+from cogradar.services.recorder.store.seal import message_checksum
 from cogradar.services.simulation import checks, memory, trials
+from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.memory import Impure, Memory
 from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind
 from cogradar.services.simulation.simulator import Outcome, _often, play, undisturbed
 from cogradar.shared.protocol.orders import Pause, PowerLimit
+from cogradar.shared.protocol.recovery import History
+from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.pool.shares import Shares
 from tests.services.simulation.plain import PLAIN
 
@@ -101,6 +113,48 @@ def test_a_radar_that_runs_ahead_is_found(monkeypatch: pytest.MonkeyPatch) -> No
     assert _played(slow, commands=commands).violation == ""
     monkeypatch.setattr(Lockstep, "may_transmit", lambda *_: True)
     assert "ahead of the journal, at most 1" in _played(slow, commands=commands).violation
+
+
+def test_tracks_that_two_planners_keep_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One is away for a while, and gets its tracks back."""
+    crash, settings = Fault(Kind.CRASH, 1.0, 2.0, "planner-0"), {"rate_hz": 10.0, "dwells": 120}
+    assert _played(crash, **settings).violation == ""
+    monkeypatch.setattr(HeldTracks, "leave", lambda *_: None)
+    assert "is planned by planner-0 and planner-1" in _played(crash, **settings).violation
+
+
+def test_a_recall_of_what_was_never_sent_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def other(store: Journal, recall: Any) -> list[History]:
+        (found,) = recalled(store, recall)
+        payloads = [encode(decode(payload).model_copy(update={"isotropic": 0.125})) for payload in found.payloads]
+        return [found.model_copy(update={"payloads": payloads})]
+
+    crash = Fault(Kind.CRASH, 0.01, 0.02, "emulator-0")
+    assert _played(crash).violation == ""
+    monkeypatch.setattr(recorder, "recalled", other)
+    assert "of known-1 that was never sent" in _played(crash).violation
+
+
+def test_damage_that_is_believed_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A waveform of a dwell that is not acknowledged yet is another one, and the recorder does not look."""
+
+    def rot(disk: Disk) -> None:
+        with closing(sqlite3.connect(disk.path)) as db, db:
+            k, payload = db.execute("SELECT MAX(k), payload FROM message WHERE topic = 'waveform'").fetchone()
+            at = bytes(payload).index(np.float64(vars(decode(payload))["isotropic"]).astype(">f8").tobytes())
+            changed = bytearray(payload)
+            changed[at + 7] ^= 1
+            db.execute("UPDATE message SET payload = ? WHERE topic = 'waveform' AND k = ?", (bytes(changed), k))
+
+    class Fitting(int):
+        def __ne__(self, _: object) -> bool:
+            return False
+
+    fault = Fault(Kind.ROT, 0.003, 0.02, "recorder-0")
+    monkeypatch.setattr(Disk, "rot", rot)
+    assert _played(fault).violation == ""
+    monkeypatch.setattr(journal, "message_checksum", lambda *row: Fitting(message_checksum(*row)))
+    assert "known-1: its damage was believed: digest" in _played(fault).violation
 
 
 def test_of_two_frozen_recorders_each_keeps_its_journal_open() -> None:
