@@ -5,7 +5,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -24,6 +25,7 @@ from cogradar.shared.wire.zenoh_bus import Listener
 TICK_S = 0.02  # without a message, after which what waits is looked at
 PAUSE_S = 1.0  # before a question that had no answer is asked again
 AGAIN_WITHIN_S = 3.0  # an answer about a run that has just begun: metrics may be busy with that, and is asked again
+SILENT_S = 10.0  # of a run that goes on a checkpoint comes each second, and each fourth while others go on
 KEPT = 2_000  # messages of runs that have begun, until metrics has said where the radar is
 
 Check = Callable[[], None]  # raises Interrupted when the feed is to end
@@ -81,30 +83,51 @@ def live(
     run : of this one alone, until it ends. Raises BadInput, NoMetrics.
     """
     own.check(endpoint, own.ASKING)
+    followed = _Followed(partial(_connected, endpoint, wanted, check), run, check, notify, wanted)
+    try:
+        yield from followed.pictures()
+    finally:
+        followed.close()
+
+
+class _Connection(NamedTuple):
+    """What a run is heard by."""
+
+    session: Session
+    listener: Listener
+
+    def close(self) -> None:
+        """Hear no more."""
+        self.listener.close()
+        self.session.close()
+
+
+def _connected(endpoint: str, wanted: Wanted, check: Check) -> _Connection:
+    """Raises NoMetrics."""
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=check)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}{CURE}") from None
-    try:
-        kinds = (Checkpoint, Scan, Plan, Waveform)
-        parts = PARTS if wanted.plots else WITHOUT_PLOTS
-        listener = Listener(session, kinds, parts)  # first: nothing is missed after the answer
-        try:
-            yield from _Followed(session, run, check, notify, wanted).pictures(listener)
-        finally:
-            listener.close()
-    finally:
-        session.close()
+    kinds = (Checkpoint, Scan, Plan, Waveform)
+    return _Connection(session, Listener(session, kinds, PARTS if wanted.plots else WITHOUT_PLOTS))
 
 
 class _Followed:
     """The run that is followed, and those that it is not."""
 
     def __init__(
-        self, session: Session, run: str | None, check: Check, notify: Callable[[str], None], wanted: Wanted
+        self,
+        connect: Callable[[], _Connection],
+        run: str | None,
+        check: Check,
+        notify: Callable[[str], None],
+        wanted: Wanted,
     ) -> None:
-        self._session, self._only, self._check, self._notify = session, run, check, notify
+        self._connect, self._only, self._check, self._notify = connect, run, check, notify
         self._wanted = wanted
+        self._link = connect()  # and listen, first: nothing is missed after metrics has answered
+        self._heard_s = 0.0  # when the run that is followed was heard of, or was begun to be followed,
+        self._is_silent = False  # ... and whether that was so long ago that it was said
         self._known: set[str] = set()  # runs that were looked at: they are followed, or not to be
         self._ended: set[str] = set()  # runs that were heard to end
         self._ask_s = 0.0  # when metrics may be asked again
@@ -112,16 +135,22 @@ class _Followed:
         self._now: Pictures | None = None
         self._kept: deque[Message] = deque(maxlen=KEPT)  # of other runs, while metrics is asked about one of them
 
-    def pictures(self, listener: Listener) -> Iterator[Picture | None]:
-        """What the listener's messages come to."""
+    def close(self) -> None:
+        """Hear no more."""
+        self._link.close()
+
+    def pictures(self) -> Iterator[Picture | None]:
+        """What the messages come to."""
         self._begin(self._row(self._only))
         last: Picture | None = None
         with ThreadPoolExecutor(1) as pool:
             asked: Future[dict[str, Any] | None] | None = None
+            again: Future[bool] | None = None
             while True:
                 self._check()
                 found, is_over = list[Picture](), False
-                for message in listener.receive(TICK_S):
+                for message in self._link.listener.receive(TICK_S):
+                    self._note(message)
                     if isinstance(message, Checkpoint):
                         is_over = is_over or self._is_end(message)
                         if asked is None and self._is_new(message):
@@ -131,6 +160,10 @@ class _Followed:
                 if asked is not None and asked.done():
                     found += self._answered(asked)
                     asked = None
+                if again is None and self._is_cut_off():
+                    again = pool.submit(self._reconnect)
+                if again is not None and again.done():
+                    is_over, again = is_over or not again.result(), None
                 if self._now is not None:
                     found += self._now.late(time.monotonic(), time.time())
                 last = found[-1] if found else last
@@ -141,6 +174,35 @@ class _Followed:
                         yield last.without_tracks()
                     if self._only is not None:
                         return
+
+    def _note(self, message: Message) -> None:
+        """Note that the run that is followed was heard of."""
+        if self._now is not None and message.run == self._now.run:
+            self._heard_s, self._is_silent = time.monotonic(), False
+
+    def _is_cut_off(self) -> bool:
+        """Whether nothing was heard for long of the run that is followed: a link may be up, and carry nothing."""
+        if self._now is None or time.monotonic() < self._heard_s + SILENT_S:
+            return False
+        self._heard_s = time.monotonic()
+        if not self._is_silent:
+            self._notify(f"nothing was heard of {self._now.run} for {SILENT_S:g} s; connecting anew")
+        self._is_silent = True
+        return True
+
+    def _reconnect(self) -> bool:
+        """Hear by another connection; whether the run goes on, as far as metrics says."""
+        try:
+            link = self._connect()
+        except NoMetrics:
+            return True
+        self._link, before = link, self._link
+        before.close()
+        try:
+            row = self._row(None if self._now is None else self._now.run, AGAIN_WITHIN_S)
+        except (BadInput, NoMetrics):
+            return True
+        return row is None or row["status"] == "running"
 
     def _take(self, message: Message) -> list[Picture]:
         if self._now is not None and message.run == self._now.run:
@@ -189,14 +251,14 @@ class _Followed:
         self._known.add(row["run"])
         scenario = Scenario.model_validate(row["document"])
         site = site_of(row["run"], scenario, self._wanted.site)
-        self._now = Pictures(row["run"], scenario, site, self._wanted)
+        self._now, self._heard_s = Pictures(row["run"], scenario, site, self._wanted), time.monotonic()
         self._notify(f"following {row['run']}")
 
     def _row(self, run: str | None, within_s: float = ANSWER_WITHIN_S) -> dict[str, Any] | None:
         """The row of a run, of the newest if none is named; None: there is none yet. Raises BadInput, NoMetrics."""
         try:
             given = {} if run is None else {"run": run}
-            (row,) = json.loads(ask(self._session, "one_run", given, within_s, self._check))
+            (row,) = json.loads(ask(self._link.session, "one_run", given, within_s, self._check))
         except NoAnswer as error:
             raise NoMetrics(f"no metrics service: {error}{CURE}") from None
         except BadRequest as error:

@@ -3,10 +3,13 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 import pytest
 
-from cogradar.services.errors import BadInput, NoMetrics
+from cogradar.services.errors import BadInput, Interrupted, NoMetrics
+from cogradar.services.feed import source
 from cogradar.services.feed.picture import Picture, Wanted
 from cogradar.services.feed.source import live
 from cogradar.services.runs.cluster import play_on
@@ -27,9 +30,11 @@ def _until(seconds: float) -> Callable[[], None]:
     return check
 
 
-def _played(endpoint: str, start: RunStart) -> threading.Thread:
+def _played(endpoint: str, start: RunStart, ended: threading.Event | None = None) -> threading.Thread:
     def play() -> None:
-        play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=threading.Event())
+        with suppress(Interrupted):
+            stop = ended or threading.Event()
+            play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
 
     thread = threading.Thread(target=play)
     thread.start()
@@ -58,6 +63,36 @@ def test_a_run_that_begins_is_followed_to_its_end(endpoint: str) -> None:
     assert all(abs(picture.utc_s - time.time()) < WITHIN_S for picture in shown)
     with pytest.raises(BadInput, match="is over"):
         next(live(endpoint, start.run, _until(5.0), said.append, Wanted()))
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+def test_a_run_is_followed_on_though_its_messages_come_no_more(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    connect, made, said = source._connected, list[source._Connection](), list[str]()
+
+    def connected(*args: Any) -> source._Connection:
+        made.append(connect(*args))
+        return made[-1]
+
+    monkeypatch.setattr(source, "_connected", connected)
+    monkeypatch.setattr(source, "SILENT_S", 3.0)
+    start = RunStart.of(load("smoke", SITE), Strategy.POWER_AWARE, 2, 20 * DWELLS, RATE_HZ)
+    ended = threading.Event()
+    player = _played(endpoint, start, ended)
+    n_before = n_after = 0
+    for picture in live(endpoint, None, _until(WITHIN_S), said.append, Wanted()):
+        is_shown = picture is not None and picture.run == start.run and bool(picture.tracks)
+        if len(made) == 1:
+            n_before += is_shown
+            while n_before == 3 and made[0].listener._subscribers:  # a router forgets what this process listens to
+                made[0].listener._subscribers.pop().undeclare()
+        else:
+            n_after += is_shown
+        if n_after == 5:
+            break
+    ended.set()
+    player.join(WITHIN_S)
+    assert said[-1] == f"nothing was heard of {start.run} for 3 s; connecting anew"
 
 
 def test_without_services_it_says_so() -> None:

@@ -3,12 +3,16 @@
 import itertools
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from cogradar.services.errors import NoMetrics
+from cogradar.services.feed import source
 from cogradar.services.feed.picture import Wanted
-from cogradar.services.feed.source import _Followed
+from cogradar.services.feed.source import _Connection, _Followed
 from cogradar.shared.protocol.messages import Checkpoint, Message
 from cogradar.shared.wire.session import Session
 from cogradar.shared.wire.zenoh_bus import Listener
@@ -26,9 +30,16 @@ class _Listener:
         time.sleep(0.01)
         return iter(next(self._lots, ()))
 
+    def close(self) -> None:
+        """Nothing is to be closed."""
+
 
 class _Done(Exception):
     pass
+
+
+def _heard_by(listener: _Listener) -> _Connection:
+    return _Connection(cast("Session", object()), cast("Listener", listener))
 
 
 def _of(run: str, k: int = 0, *, ended: bool = False) -> Checkpoint:
@@ -56,9 +67,9 @@ def _followed(
             raise _Done
 
     monkeypatch.setattr(_Followed, "_row", row)
-    followed = _Followed(cast("Session", object()), None, check, said.append, Wanted())
+    followed = _Followed(lambda: _heard_by(_Listener(lots)), None, check, said.append, Wanted())
     with pytest.raises(_Done):
-        for _ in followed.pictures(cast("Listener", _Listener(lots))):
+        for _ in followed.pictures():
             pass
     return said, followed
 
@@ -79,6 +90,42 @@ def test_a_run_that_begins_is_followed_though_another_goes_on(monkeypatch: pytes
     lots: list[list[Message]] = [[_of("one", 16)], [_of("two")], [], [_of("one", 32)], [_of("two", 2)]]
     said, _ = _followed(lots, monkeypatch, newest="one")
     assert [line for line in said if "following" in line] == ["following one", "following two"]
+
+
+@pytest.mark.parametrize("becomes_of_it", ["it goes on", "it is over", "nobody can be asked"])
+def test_a_connection_that_carries_nothing_is_replaced(becomes_of_it: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was seen after a reconnection on a busy machine: a link that was up on both ends, kept alive, and mute."""
+    monkeypatch.setattr(source, "SILENT_S", 0.1)
+    closed, said, tried, more = list[int](), list[str](), list[int](), _of("a", 5)
+
+    def connect() -> _Connection:
+        tried.append(len(tried))
+        if len(tried) == 2:
+            raise NoMetrics("no router")
+        lots = [[_of("a")]] if len(tried) == 1 else [[more]] * 5
+        session, listener = SimpleNamespace(close=partial(closed.append, tried[-1])), _Listener(lots)
+        return _Connection(cast("Session", session), cast("Listener", listener))
+
+    def row(_: _Followed, run: str | None, *_within_s: float) -> dict[str, Any]:
+        if run is not None and becomes_of_it == "nobody can be asked":
+            raise NoMetrics("no metrics service")
+        return _row("a") | {"status": "complete" if run and becomes_of_it == "it is over" else "running"}
+
+    def check() -> None:
+        if len(tried) > 3 or (followed and followed[0]._now is None and closed):
+            raise _Done
+
+    monkeypatch.setattr(_Followed, "_row", row)
+    followed = list[_Followed]()
+    followed.append(_Followed(connect, None, check, said.append, Wanted()))
+    with pytest.raises(_Done):
+        for _ in followed[0].pictures():
+            pass
+    silent = "nothing was heard of a for 0.1 s; connecting anew"
+    assert said[:2] == ["following a", silent]
+    assert closed[0] == 0
+    assert said.count(silent) == (1 if becomes_of_it == "it is over" else 2)  # once until it is heard again
+    assert len(tried) == (3 if becomes_of_it == "it is over" else 4)
 
 
 def test_nothing_is_kept_of_runs_that_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
