@@ -111,11 +111,11 @@ class RecordedRun:
 
         Likewise one of a dwell to which no process comes by what this journal says: its sender was told of more.
         """
+        check_dwell(message.k, self._radar, self.start.dwells, getattr(message, "t", 0))
         there = self.acknowledged[0]
         if not self.pacing.may_answer(message.k - there):
             why = "was an older journal put in place?"
             raise Refused(f"dwell {message.k}, though only those before {there} are acknowledged: {why}")
-        check_dwell(message.k, self._radar, self.start.dwells, getattr(message, "t", 0))
         match message:
             case Snapshot():
                 check_snapshot(message, self._radar)

@@ -25,6 +25,7 @@ from cogradar.shared.wire.codec import decode
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
 RECOVERED_S = 5.0  # after the last fault
+SHARED_S = 10.0  # after the last fault, and after the first plan of a track: planners have shared it, late plans or not
 LEAST_DWELLS = 10  # in which it is looked at
 LEAST_IN_TIME, LEAST_P_D = 0.9, 0.5
 SLACK = 0.2  # of a period that a dwell may come later than it is due
@@ -198,10 +199,18 @@ def repeated(radiated: Iterable[Dwell]) -> dict[str, Dwell]:
     return found
 
 
-def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float]], settled_s: float) -> None:
-    """Once planners have shared the tracks, each is planned by one of them. Raises Violated."""
-    for (run, k, target), at_s in planned.items():
-        if len(at_s) > 1 and min(at_s.values()) >= settled_s:
+def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float]], quiet_s: float) -> None:
+    """Once planners have shared the tracks, each is planned by one of them. Raises Violated.
+
+    Not where plans were overdue: whose tracks others take, and for how long, is not known to one that missed it.
+
+    planned : by run, dwell and track which planner sent a plan, and when first
+    """
+    since_s: dict[tuple[str, int], float] = {}  # a track that begins is shared, too
+    for (run, k, target), at_s in sorted(planned.items()):
+        first_s = min(at_s.values())
+        settled_s = max(quiet_s, since_s.setdefault((run, target), first_s)) + SHARED_S
+        if len(at_s) > 1 and first_s >= settled_s:
             raise Violated(f"{run}: dwell {k} of track {target + 1} is planned by {' and '.join(sorted(at_s))}")
 
 

@@ -107,7 +107,7 @@ class Cluster:
         self._recorder_began = False
         self._away: Counter[str] = Counter()  # by key: how often the runs of a process are elsewhere
         self.said: dict[bytes, Message] = {}  # by what it is on the wire
-        # Who sent a plan of a run's dwell and track, and when first.
+        # Who sent a plan of a run's dwell and track, and when first, once targets are followed.
         self.planned: defaultdict[tuple[str, int, int], dict[str, float]] = defaultdict(dict)
 
     def at(self, at_s: float, do: Callable[[], None]) -> None:
@@ -197,7 +197,7 @@ class Cluster:
             raise Violated(f"{sender.name} recalls a {message.topic} of {message.run} that was never sent")
         to = getattr(message, "to", None)
         self.said[payload] = message
-        if isinstance(message, Plan):
+        if isinstance(message, Plan) and message.t > 0:
             self.planned[message.run, message.k, message.target].setdefault(sender.name, self.now_s)
         for reader in self.processes.values():
             if reader is not sender and reader.role in topic.readers and to in {None, reader.name, reader.role.value}:

@@ -13,7 +13,7 @@ from cogradar.services.planner import owned_track
 from cogradar.services.recorder import core
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal, order_of
-from cogradar.services.recorder.store.check import check_run, damages
+from cogradar.services.recorder.store.check import check_row, check_run, damages
 from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
@@ -41,7 +41,6 @@ from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
 WITHIN_S = 20.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
-SHARED_S = 5.0  # ... planners have shared the tracks
 SETTLED_S = 15.0  # of the end of the last fault, or of the last dwell: all shards of a pool are shared again
 NEVER = 10**6  # a dwell after the end of any run: a command for it is refused
 STORM = 20_000  # messages handled, a hundred times as many as a run has
@@ -138,10 +137,9 @@ class Simulator:
         return Outcome(self._schedule, violation, cluster.now_s, cluster.counts["handled"], found)
 
     def _ask(self) -> None:
-        """Start an operator, with the commands that have been asked by now."""
-        asked_s = self._cluster.now_s - self._schedule.begins_s
+        """Start an operator, with the commands that are asked at once."""
         both = zip(self._schedule.commands, self._commands, strict=True)
-        self._cluster.ask(self._starts, [command for asked, command in both if asked.asked_s <= asked_s])
+        self._cluster.ask(self._starts, [command for asked, command in both if not asked.asked_s])
 
     def _let_run(self) -> None:
         """Until all runs are over, which must be soon after the last fault. Raises Violated."""
@@ -157,6 +155,8 @@ class Simulator:
                 if self._is_over():
                     self._settle()
                     return
+        if not self._disk.is_open and not self._disk.refused:
+            raise Violated(f"no recorder at {latest_s:.1f} s")
         if self._schedule.is_rotten and (self._disk.refused or self._is_held() or self._damaged()):
             return
         k = [dict(row) for row in self._journal.read("SELECT run, status, acknowledged_k AS k FROM run")]
@@ -208,7 +208,8 @@ class Simulator:
         if starts:
             check_journal(self._journal, starts, said)
         check_waveforms(starts, radiated, said.values())
-        check_planned_once(self._cluster.planned, schedule.quiet_s + SHARED_S)
+        if not any(isinstance(message, Checkpoint) and message.overdue for message in said.values()):
+            check_planned_once(self._cluster.planned, schedule.quiet_s)
         if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
@@ -222,10 +223,10 @@ class Simulator:
         """Runs whose damage a reader finds did not come to another end by it. Raises Violated."""
         for run in sorted(damaged) if not self._disk.refused else ():
             try:
-                ((row,), _) = (self._journal.stored(table, "WHERE run = ?", [run]) for table in ("run", "command"))
-                given = {run: self._given(run)}
-            except (Damaged, ValueError):  # the damage is in what says so
+                row, _ = check_row(self._journal, run), self._journal.stored("command", "WHERE run = ?", [run])
+            except Damaged:  # it is in what says so
                 continue
+            given = {run: self._given(run)}
             _, _, expected, *_ = undisturbed(self._schedule.plain(self._as_given(given)))[run]
             if row["status"] == "complete" and row["digest"] != expected:
                 raise Violated(f"{run}: its damage was believed: digest {row['digest']}, but undisturbed {expected}")

@@ -110,9 +110,11 @@ def check_row(store: Database, run: str) -> dict[str, Any]:
     if not rows:
         raise damage(store.path, f"run {run!r}, table run: there is no such run", run)
     (row,) = rows
-    ((found,),) = store.rows("SELECT COUNT(*) FROM command WHERE run = ?", [run])
-    if found != row["commands"]:
-        raise damage(store.path, f"run {run!r}, table command: {found} are there, {row['commands']} were recorded", run)
+    for column in ("*", "checksum"):  # the first count is of an index in SQLite, the second one of the table
+        ((found,),) = store.rows(f"SELECT COUNT({column}) FROM command WHERE run = ?", [run])
+        if found != row["commands"]:
+            what = f"table command: {found} are there, {row['commands']} were recorded"
+            raise damage(store.path, f"run {run!r}, {what}", run)
     return row
 
 

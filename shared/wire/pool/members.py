@@ -219,8 +219,8 @@ class Pool:
         self._tokens.wait(WAKE_S)
         there = self._all()
         own = {token.shard for token in there if token.moment == self._shares.moment}
-        for token, is_there in list(self._tokens.arrived):
-            (there.add if is_there else there.discard)(token)
+        told = dict(list(self._tokens.arrived))  # of each what was told last
+        there |= {token for token, is_there in told.items() if is_there}
         others = {(token.number, token.moment) for token in there if token.moment != self._shares.moment}
         is_seen = self._tokens.n_lost == self._n_known and own >= self._shown.keys()
         if is_seen and not any(shard in self.held for shard, _ in others):

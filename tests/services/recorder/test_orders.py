@@ -69,7 +69,7 @@ def sky() -> list[Message]:
 
 @pytest.fixture(autouse=True)
 def _soon(smoke: list[Message], sky: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
-    """After these runs were played: none comes farther ahead of the journal than that."""
+    """After these runs were played. The journal must keep up, or what is farther ahead of it is refused."""
     assert smoke
     assert sky
     monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", AHEAD)

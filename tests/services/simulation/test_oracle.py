@@ -117,7 +117,7 @@ def test_a_radar_that_runs_ahead_is_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_tracks_that_two_planners_keep_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """One is away for a while, and gets its tracks back."""
-    crash, settings = Fault(Kind.CRASH, 1.0, 2.0, "planner-0"), {"rate_hz": 10.0, "dwells": 120}
+    crash, settings = Fault(Kind.CRASH, 1.0, 2.0, "planner-0"), {"rate_hz": 10.0, "dwells": 150}
     assert _played(crash, **settings).violation == ""
     monkeypatch.setattr(HeldTracks, "leave", lambda *_: None)
     assert "is planned by planner-0 and planner-1" in _played(crash, **settings).violation

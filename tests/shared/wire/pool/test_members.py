@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -215,6 +216,20 @@ def test_one_that_was_frozen_serves_nothing_when_it_goes_on(
     time.sleep(0.05)  # it is frozen, while this thread computes nothing
     assert first.pool.has_paused()
     assert first.pool.news() == frozenset()
+
+
+def test_what_was_told_before_takes_nothing_from_an_answer(
+    start: Callable[..., _Process], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another one's claim was withdrawn, is shown again, and word of that is on its way: the answer has it."""
+    first = start("a")
+    _share([first], 16)
+    rival, real = Token("3", first.tokens.moment(), "b"), first.tokens.there
+    monkeypatch.setattr(first.tokens, "there", lambda: {*real(), rival})
+    monkeypatch.setattr(first.tokens, "arrived", deque([(rival, True), (rival, False)]))
+    monkeypatch.setattr(members, "PAUSE_S", 0.0)
+    time.sleep(0.05)
+    assert first.pool.has_paused()
 
 
 def test_one_that_was_only_busy_keeps_what_it_serves(
