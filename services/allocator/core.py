@@ -190,6 +190,8 @@ def _collect(run: _Run, plan: Plan) -> Sequence[Message]:
     if plan.target not in run.newest or plan.k > run.newest[plan.target].k:
         run.newest[plan.target] = plan
     first, plans = run.first_open, run.plans
+    if plan.k == run.k - 1 < first:  # just too late: the next one comes a period after it, and is to be awaited
+        run.expect(run.k, AFTER_WAVEFORM)
     if not first <= plan.k < first + MAX_DWELLS or plan.target in plans[plan.k]:
         return ()
     plans[plan.k][plan.target] = plan

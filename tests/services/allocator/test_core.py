@@ -119,6 +119,37 @@ def test_in_real_time_the_acquisition_waits_for_the_radar() -> None:
     assert late.k == 3
 
 
+def test_in_real_time_plans_are_awaited_again_though_some_were_just_too_late() -> None:
+    """Its clock leapt once, and from then on it answered a period after its last answer: each time before the plans."""
+    core, start = AllocatorCore(), smoke_start(dwells=100).model_copy(update={"rate_hz": 10.0})
+    core.handle(checkpoint(start))
+    core.handle(Tick(0.0))
+    found, now_s, ahead_s = list[Waveform](), 0.0, 0.0
+
+    def go_on(until_s: float) -> None:
+        nonlocal now_s
+        while True:
+            if core.has_deferred:
+                found.extend(one for one in core.handle(Tick(now_s)) if isinstance(one, Waveform))
+            if (due_s := core.wake_s) is None or due_s > until_s:
+                break
+            now_s = max(now_s, due_s)
+            found.extend(one for one in core.handle(Tick(now_s)) if isinstance(one, Waveform))
+        now_s = until_s
+
+    for k in range(20):
+        if k == 5:
+            now_s, ahead_s = 0.1 * k + 1.601, 1.6
+        go_on(ahead_s + 0.1 * k + 0.002)
+        for target in range(2):
+            found += [one for one in core.handle(_plan(target, k=k, bin_=3 + 6 * target)) if isinstance(one, Waveform)]
+        go_on(ahead_s + 0.1 * k + 0.003)
+    late = [waveform.k for waveform in found if waveform.late.any()]
+    assert late
+    assert max(late) < 10
+    assert [waveform.k for waveform in found][-5:] == [15, 16, 17, 18, 19]
+
+
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_an_estimate_at_the_very_edge_can_be_extrapolated(strategy: Strategy) -> None:
     """A plan may claim any state that its message allows; one planner that does must not end the allocator."""
