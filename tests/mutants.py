@@ -357,6 +357,7 @@ MUTANTS = (
         "if absent and not is_connected():",
         "if absent and is_connected() is None:",
         only=with_pools_and_a_router_that_restarts,
+        missed="before it goes on, a process that had no router asks for all claims, and leaves its runs to others",
     ),
     Mutant(
         "a shard is served as soon as it is claimed",

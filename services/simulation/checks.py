@@ -202,7 +202,8 @@ def repeated(radiated: Iterable[Dwell]) -> dict[str, Dwell]:
 def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float]], quiet_s: float) -> None:
     """Once planners have shared the tracks, each is planned by one of them. Raises Violated.
 
-    Not where plans were overdue: whose tracks others take, and for how long, is not known to one that missed it.
+    Not where plans were overdue, or a planner hangs for good: others have its tracks, and one that missed that does not
+    know for how long.
 
     planned : by run, dwell and track which planner sent a plan, and when first
     """
