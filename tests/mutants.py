@@ -286,6 +286,7 @@ MUTANTS = (
         EMULATOR,
         "            k=checkpoint.k,\n            t=checkpoint.t,",
         "            k=0,\n            t=0,",
+        missed="in lockstep dwells are the same again, in real time a checkpoint or a waveform says which one is due",
     ),
     Mutant(
         "overdue dwells are made up for in real time",
@@ -392,14 +393,14 @@ def _plant(mutant: Mutant) -> None:
     importlib.machinery.SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
 
 
-def play(mutant: Mutant | None, schedules: int, after: int = 0) -> tuple[int, str]:
+def play(mutant: Mutant, schedules: int, after: int = 0, *, is_planted: bool = True) -> tuple[int, str]:
     """Which of so many schedules that come to the fault's place, behind `after`, is violated first, or 0; and how."""
-    if mutant is not None:
+    if is_planted:
         _plant(mutant)
     simulation = "cogradar.services.simulation."
     memory, schedule, simulator = (import_module(simulation + name) for name in ("memory", "schedule", "simulator"))
     all_drawn = (schedule.Schedule.draw(seed) for seed in itertools.count(FIRST))
-    chosen = (drawn for drawn in all_drawn if mutant is None or mutant.only(drawn))
+    chosen = filter(mutant.only, all_drawn)
     with memory.remembering(REMEMBERED):
         for n, drawn in enumerate(itertools.islice(chosen, after, schedules), after + 1):
             if violation := simulator.play(drawn).violation:
@@ -407,8 +408,8 @@ def play(mutant: Mutant | None, schedules: int, after: int = 0) -> tuple[int, st
     return 0, ""
 
 
-def _in_a_process(mutant: Mutant, schedules: int, after: int) -> tuple[int, str]:
-    command = [sys.executable, "-m", "tests.mutants", "--play", mutant.name]
+def _in_a_process(mutant: Mutant, schedules: int, after: int, *, is_planted: bool = True) -> tuple[int, str]:
+    command = [sys.executable, "-m", "tests.mutants", "--play" if is_planted else "--without", mutant.name]
     command += ["--schedules", str(schedules), "--after", str(after)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -432,8 +433,12 @@ class Known:
         played, n, violation = self._found.get(key, (0, 0, ""))
         at_once = schedules if self._file is None else AT_ONCE
         while not n and played < schedules:
-            n, violation = _in_a_process(mutant, min(played + at_once, schedules), played)
-            played = min(played + at_once, schedules)
+            until = min(played + at_once, schedules)
+            n, violation = _in_a_process(mutant, until, played)
+            if n and _in_a_process(mutant, n, n - 1, is_planted=False)[0]:
+                print(f"{mutant.name}: schedule {n} fails without it, too: {violation}", file=sys.stderr)
+                until, n, violation = n, 0, ""
+            played = until
             with self._lock:
                 self._found[key] = played, n, violation
                 if self._file is not None:
@@ -456,11 +461,12 @@ def main() -> int:
     parser.add_argument("--into", type=Path, metavar="PAGE", help="write the table there, between <!-- planted -->")
     parser.add_argument("--store", type=Path, metavar="FILE", help="keep there what was played, and go on from it")
     parser.add_argument("--play", metavar="NAME", help=argparse.SUPPRESS)
+    parser.add_argument("--without", metavar="NAME", help=argparse.SUPPRESS)
     parser.add_argument("--after", type=int, default=0, help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    if asked.play:
-        mutant = next(one for one in MUTANTS if one.name == asked.play)
-        print(json.dumps(play(mutant, asked.schedules, asked.after)))
+    if name := asked.play or asked.without:
+        mutant = next(one for one in MUTANTS if one.name == name)
+        print(json.dumps(play(mutant, asked.schedules, asked.after, is_planted=bool(asked.play))))
         return 0
     chosen = [one for one in MUTANTS if not asked.names or any(word in one.name for word in asked.names)]
     rows, wrong, n_found, known = list[str](), 0, 0, Known(asked.store)
