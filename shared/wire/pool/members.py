@@ -213,8 +213,8 @@ class Pool:
         """Whether its tokens are not what it showed, or others have claims to what it serves: it begins anew then.
 
         What is asked may be answered by what this session knows. So its threads get the time to learn what has
-        happened: they have been frozen, too. Beside other work an answer may lack tokens of which this session was
-        told before: they count, too.
+        happened: they have been frozen, too. Beside other work an answer may lack tokens that this session was told of
+        before: they count, too.
         """
         self._tokens.wait(WAKE_S)
         there = self._all()
