@@ -145,7 +145,7 @@ class _Followed:
         last: Picture | None = None
         with ThreadPoolExecutor(1) as pool:
             asked: Future[dict[str, Any] | None] | None = None
-            again: Future[bool] | None = None
+            again: Future[str] | None = None
             while True:
                 self._check()
                 found, is_over = list[Picture](), False
@@ -160,10 +160,11 @@ class _Followed:
                 if asked is not None and asked.done():
                     found += self._answered(asked)
                     asked = None
-                if again is None and self._is_cut_off():
-                    again = pool.submit(self._reconnect)
-                if again is not None and again.done():
-                    is_over, again = is_over or not again.result(), None
+                if again is None and self._now is not None and self._is_cut_off(self._now.run):
+                    again = pool.submit(self._reconnect, self._now.run)
+                if again is not None and again.done():  # another run may be followed by now
+                    is_over = is_over or (self._now is not None and again.result() == self._now.run)
+                    again = None
                 if self._now is not None:
                     found += self._now.late(time.monotonic(), time.time())
                 last = found[-1] if found else last
@@ -180,29 +181,29 @@ class _Followed:
         if self._now is not None and message.run == self._now.run:
             self._heard_s, self._is_silent = time.monotonic(), False
 
-    def _is_cut_off(self) -> bool:
+    def _is_cut_off(self, run: str) -> bool:
         """Whether nothing was heard for long of the run that is followed: a link may be up, and carry nothing."""
-        if self._now is None or time.monotonic() < self._heard_s + SILENT_S:
+        if time.monotonic() < self._heard_s + SILENT_S:
             return False
         self._heard_s = time.monotonic()
         if not self._is_silent:
-            self._notify(f"nothing was heard of {self._now.run} for {SILENT_S:g} s; connecting anew")
+            self._notify(f"nothing was heard of {run} for {SILENT_S:g} s; connecting anew")
         self._is_silent = True
         return True
 
-    def _reconnect(self) -> bool:
-        """Hear by another connection; whether the run goes on, as far as metrics says."""
+    def _reconnect(self, run: str) -> str:
+        """Hear by another connection; the run if it is over by now, as metrics says, or ""."""
         try:
             link = self._connect()
         except NoMetrics:
-            return True
+            return ""
         self._link, before = link, self._link
         before.close()
         try:
-            row = self._row(None if self._now is None else self._now.run, AGAIN_WITHIN_S)
+            row = self._row(run, AGAIN_WITHIN_S)
         except (BadInput, NoMetrics):
-            return True
-        return row is None or row["status"] == "running"
+            return ""
+        return "" if row is None or row["status"] == "running" else run
 
     def _take(self, message: Message) -> list[Picture]:
         if self._now is not None and message.run == self._now.run:

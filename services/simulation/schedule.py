@@ -306,7 +306,7 @@ class Schedule:
         """In half of the schedules commands are asked while a run goes on, each for the next dwell that it can shape.
 
         Not where a journal is put back: what it lacks would be granted for another dwell, and messages that are on
-        their way were made under the order that is lost (`docs/reliability.md`).
+        their way were made under the order that is lost (`docs/adr/0008-recovery-by-checkpoints.md`).
         """
         rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 7)
         if rng.random() < 0.5 or any(fault.kind in _PUTS_BACK for fault in self.faults):

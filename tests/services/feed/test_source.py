@@ -1,6 +1,7 @@
 """Which run the feed follows, of those that it hears of."""
 
 import itertools
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -126,6 +127,39 @@ def test_a_connection_that_carries_nothing_is_replaced(becomes_of_it: str, monke
     assert closed[0] == 0
     assert said.count(silent) == (1 if becomes_of_it == "it is over" else 2)  # once until it is heard again
     assert len(tried) == (3 if becomes_of_it == "it is over" else 4)
+
+
+def test_a_run_that_began_meanwhile_is_not_over_with_the_one_that_fell_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both answers of metrics are there at once: that the silent run is over, and that another one goes on."""
+    monkeypatch.setattr(source, "SILENT_S", 0.1)
+    asked, followed = threading.Event(), list[_Followed]()
+
+    def connect() -> _Connection:
+        lots = [[_of("b")]] * 5 if followed else [[_of("a")]]
+        session, listener = SimpleNamespace(close=lambda: None), _Listener(lots)
+        return _Connection(cast("Session", session), cast("Listener", listener))
+
+    def row(_: _Followed, run: str | None, *_within_s: float) -> dict[str, Any]:
+        if run == "a":
+            time.sleep(0.1)  # messages of the other one come by the new connection meanwhile
+        asked.set() if run == "b" else None
+        return _row(run or "a") | {"status": "complete" if run == "a" else "running"}
+
+    def check() -> None:
+        if asked.is_set():
+            time.sleep(0.05)
+            looks.append(1)
+        if len(looks) > 3:
+            raise _Done
+
+    looks = list[int]()
+    monkeypatch.setattr(_Followed, "_row", row)
+    followed.append(_Followed(connect, None, check, lambda _: None, Wanted()))
+    with pytest.raises(_Done):
+        for _ in followed[0].pictures():
+            pass
+    assert followed[0]._now is not None
+    assert followed[0]._now.run == "b"
 
 
 def test_nothing_is_kept_of_runs_that_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
