@@ -67,19 +67,24 @@ class _Readers:
 
 
 @contextmanager
-def _run_that_goes_on(store: Path) -> Iterator[tuple[Launcher, _Readers]]:
-    """Of real processes, after some dwells."""
+def _processes(store: Path) -> Iterator[Launcher]:
     kernels.compile_all(lambda _: None)
     with Launcher(LocalProcesses(1, str(store)), threading.Event()) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
-        session = open_session([launcher.endpoint], 10.0, lambda: None)
-        bus, journal = ZenohBus(session, Role.OPERATOR, "test"), Journal(str(store), read_only=True)
-        with closing(bus), closing(journal):
-            bus.publish(START)
-            readers = _Readers(bus, journal)
-            while readers.next().k < 16:
-                pass
-            yield launcher, readers
+        yield launcher
+
+
+@contextmanager
+def _run_that_goes_on(launcher: Launcher, store: Path) -> Iterator[_Readers]:
+    """After some dwells."""
+    session = open_session([launcher.endpoint], 10.0, lambda: None)
+    bus, journal = ZenohBus(session, Role.OPERATOR, "test"), Journal(str(store), read_only=True)
+    with closing(bus), closing(journal):
+        bus.publish(START)
+        readers = _Readers(bus, journal)
+        while readers.next().k < 16:
+            pass
+        yield readers
 
 
 @contextmanager
@@ -106,7 +111,8 @@ def _ends_itself(launcher: Launcher, name: str, said: str) -> None:
 def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_path: Path) -> None:
     store = tmp_path / "runs.db"
     with ExitStack() as stack:
-        launcher, readers = stack.enter_context(_run_that_goes_on(store))
+        launcher = stack.enter_context(_processes(store))
+        readers = stack.enter_context(_run_that_goes_on(launcher, store))
         before = readers.next().epoch
         _stop_between_transactions(launcher, store)
         Path(f"{store}.lock").unlink()  # as after a lock that the file system has taken back
@@ -124,14 +130,18 @@ def test_a_recorder_ends_itself_and_nothing_that_was_acknowledged_is_lost(tmp_pa
 def test_a_second_recorder_stands_by_and_takes_over(tmp_path: Path) -> None:
     store = tmp_path / "runs.db"
     with ExitStack() as stack:
-        launcher, readers = stack.enter_context(_run_that_goes_on(store))
+        launcher = stack.enter_context(_processes(store))
         beat = tmp_path / "beat"
         with pytest.MonkeyPatch.context() as environment:
             environment.setenv(health.VARIABLE, str(beat))
             stack.enter_context(_successor(launcher, Role.RECORDER, "--store", str(store)))
+        until_s = time.monotonic() + WITHIN_S
+        while not beat.exists() or not beat.read_text().startswith("stands by"):  # the run might end before that
+            assert time.monotonic() < until_s
+            launcher.check()
+            time.sleep(0.05)
+        readers = stack.enter_context(_run_that_goes_on(launcher, store))
         before = readers.next().epoch
-        while not beat.exists() or not beat.read_text().startswith("stands by"):
-            assert readers.next().epoch == before
         launcher.signal("recorder-0", signal.SIGKILL)
         began = time.monotonic()
         while readers.next().epoch == before:
