@@ -12,13 +12,13 @@ from cogradar.services.allocator.waveform import warm_up, waveform
 from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import Pacing, pacing_at
-from cogradar.services.delivery.pending import Pending
+from cogradar.services.delivery.pending import Pending, decoded
 from cogradar.services.delivery.resend import MAX_DWELLS, ResendBuffer
 from cogradar.shared.protocol.admission import check_plan
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from cogradar.shared.protocol.orders import Order, in_force
-from cogradar.shared.protocol.recovery import NoWaveforms
+from cogradar.shared.protocol.recovery import History, NoWaveforms
 from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused, is_own, short
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
@@ -123,6 +123,8 @@ class AllocatorCore:
                 return self._checkpoint(event)
             case Plan() if event.run in self._runs:
                 return _collect(self._runs[event.run], event)
+            case History(topic="plan") if event.run in self._runs:
+                return _given(self._runs[event.run], event)
             case Scan() if event.run in self._runs:
                 run = self._runs[event.run]
                 run.reach(event.k)
@@ -181,6 +183,13 @@ class AllocatorCore:
             log.error("%s: %s", checkpoint.run, error)
         self._refused[checkpoint.run] = str(error)
         return (NoWaveforms.of(checkpoint.run, self._name, error, ends=checkpoint.k == 0),)
+
+
+def _given(run: _Run, history: History) -> Sequence[Message]:
+    """Take the plans that the journal has of a dwell; their planners may be gone."""
+    messages = [decoded(payload) for payload in history.payloads]
+    plans = [one for one in messages if isinstance(one, Plan) and one.run == history.run]
+    return [answer for plan in plans for answer in _collect(run, plan)]
 
 
 def _collect(run: _Run, plan: Plan) -> Sequence[Message]:

@@ -15,7 +15,7 @@ from cogradar.services.errors import BY_USER, Damaged
 from cogradar.services.recorder.damaged_runs import set_aside
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
-from cogradar.services.recorder.recall import recalled
+from cogradar.services.recorder.recall import plans_of, recalled
 from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
 from cogradar.services.recorder.store.check import check_count, check_row
 from cogradar.services.recorder.store.database import deposed
@@ -422,4 +422,7 @@ class RecorderCore:
         if not waiting:
             return []
         answers: list[Message] = [*self._commit()]
-        return answers + [one for run, resend in waiting.items() for one in run.checkpoint(resend=resend)]
+        for run, resend in waiting.items():
+            plans = plans_of(self._journal, run.start.run, run.k) if resend and run.awaits_waveform else []
+            answers += [*run.checkpoint(resend=resend), *plans]
+        return answers

@@ -1,6 +1,7 @@
 """What the journal gives back to a process that lacks it."""
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 from cogradar.services.delivery.pacing import pacing_at
@@ -10,7 +11,7 @@ from cogradar.shared.protocol.recovery import History, ScanRecall, WaveformRecal
 from cogradar.shared.protocol.topics import Role
 
 RECALL_BYTES = 1 << 20  # of one History
-_Topic = Literal["scan", "waveform", "snapshot"]
+_Topic = Literal["scan", "plan", "waveform", "snapshot"]
 _Journalled = tuple[int, list[bytes]]  # dwell of the first, and what was encoded
 
 
@@ -32,6 +33,21 @@ def recalled(journal: Journal, recall: ScanRecall | WaveformRecall) -> list[Hist
     scans = _messages(journal, run, "scan", first, MAX_HISTORY, has_gaps=loses_dwells) if None in kept else []
     asker = recall.planner
     return [*_addressed(run, asker, "snapshot", snapshots), *_addressed(run, asker, "scan", scans)]
+
+
+def plans_of(journal: Journal, run: str, k: int) -> list[History]:
+    """The plans of a dwell for the allocator, which may lack one that no planner is left to send again.
+
+    Raises Damaged.
+    """
+    payloads = journal.messages(run, ["plan"], k, k + 1)
+    return _addressed(run, Role.ALLOCATOR, "plan", ((k, part) for part in _parts(payloads)))
+
+
+def _parts(payloads: Iterator[bytes]) -> Iterator[list[bytes]]:
+    """As many at a time as a History has."""
+    while part := list(itertools.islice(payloads, MAX_HISTORY)):
+        yield part
 
 
 def _addressed(run: str, to: str, topic: _Topic, found: Iterable[_Journalled]) -> list[History]:

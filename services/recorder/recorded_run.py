@@ -36,7 +36,7 @@ from cogradar.shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # Ticks after which a checkpoint is repeated, for a process that joins: while it stands still; while others go on.
 REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
-# So long without the plan of a track, and its owner loses it. In lockstep it is longer where a dwell has taken long
+# So long without the plan of a track, and its owner loses it. In lockstep it is longer where plans have taken long
 # before, and twice as long each time. A planner that only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
 OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
@@ -55,7 +55,9 @@ class _Dwell:
     """What has come of one dwell."""
 
     since: int  # tick of its first message
-    t: int | None = None  # of its scan
+    t: int | None = None  # of its scan,
+    scan_at: int = 0  # ... and the tick at which it came
+    planned_at: int = 0  # tick at which it had all plans
     n_message: int = 0
     has_truth: bool = False
     has_waveform: bool = False
@@ -85,8 +87,8 @@ class RecordedRun:
         self._hindered: dict[str, str] = {}  # processes that cannot do their part, and why; "": what is overdue
         self._hindered_at: dict[str, int] = {}  # when they said so last
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
-        self._overdue_at = _OVERDUE_TICKS  # inactive ticks
-        self._longest = 0  # ... of a dwell
+        self._overdue_at = _OVERDUE_TICKS  # ticks after a scan
+        self._longest = 0  # ... until a dwell had all plans
         self.is_closing = False  # in real time, after the end: nothing more will come
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._has_truth = start.scenario["world"] is not None
@@ -160,10 +162,8 @@ class RecordedRun:
 
     def forgive(self) -> bool:
         """Forget the processes that have not said so again, as they do at each checkpoint; whether there is one."""
-        if "" in self._hindered and not self.pacing.has_deadlines:
-            dwell = self._dwells.get(self.k)
-            if self._inactive >= _OVERDUE_TICKS and dwell is not None and dwell.tracks - dwell.plans:
-                self._hindered_at[""] = self._ticks  # it still waits for plans
+        if "" in self._hindered and not self.pacing.has_deadlines and self._unplanned(_OVERDUE_TICKS):
+            self._hindered_at[""] = self._ticks  # it still waits for plans
         able = [process for process, at in self._hindered_at.items() if self._ticks - at > _HINDERED_TICKS]
         for process in able:
             del self._hindered[process], self._hindered_at[process]
@@ -190,7 +190,7 @@ class RecordedRun:
             case Scan():
                 if message.k > self._heard_k:
                     self._heard_k, self._heard_at = message.k, self._ticks or None
-                dwell.t = message.t
+                dwell.t, dwell.scan_at = message.t, self._ticks
                 roster = roster_of(message)
                 dwell.born_ks = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
                 dwell.tracks = frozenset(dwell.born_ks)
@@ -207,6 +207,8 @@ class RecordedRun:
                 if message.target not in self._plans or message.k > self._plans[message.target].k:
                     self._plans[message.target] = message
                 self._overdue_plans.hear_plan(message.k, message.target)
+        if isinstance(message, Scan | Plan) and self._is_planned(dwell):
+            dwell.planned_at = self._ticks
 
     def grant(self, command: Command, n: int) -> tuple[Order, list[Order]]:
         """The order that a command becomes, and those that it replaces. Raises Refused."""
@@ -251,7 +253,8 @@ class RecordedRun:
             self._plans = {m: plan for m, plan in self._plans.items() if m in dwell.tracks or plan.k > self.k}
         elif self.t > 0 or self._radar.is_unknown:
             self.t = min(self.t + 1, self.start.dwells)  # the scan is missing; the targets fly on, to the last dwell
-        self._longest = max(self._longest, self._inactive)
+        if dwell is not None and not self.pacing.has_deadlines:
+            self._longest = max(self._longest, dwell.planned_at - dwell.scan_at)
         self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
         if self.pacing.has_deadlines:
             self._timer.hear()
@@ -275,14 +278,20 @@ class RecordedRun:
         self._inactive += 1
         self._timer.tick()
         self.wants_repeat = self._inactive % (REPEAT_SHARED if others_go_on else REPEAT) == 0
-        dwell = self._dwells.get(self.k)
         overdue_at = self._overdue_at * (OVERDUE_SHARED if others_go_on else 1)
-        if self._inactive >= overdue_at and not self.pacing.has_deadlines and dwell is not None and dwell.t is not None:
-            self._overdue = tuple(sorted(dwell.tracks - dwell.plans))
+        if self.pacing.has_deadlines:
+            self._overdue = tuple(sorted({*self._overdue, *self._overdue_plans.take()}))
+        elif unplanned := self._unplanned(overdue_at):
+            self._overdue = unplanned
             self._overdue_at *= 2
-        if self.pacing.has_deadlines and (late := self._overdue_plans.take()):
-            self._overdue = tuple(sorted({*self._overdue, *late}))
         self.is_closing = self.pacing.loses_dwells and self.end is not None and self._inactive * TICK_S >= REST_S
+
+    def _unplanned(self, ticks: int) -> tuple[int, ...]:
+        """Tracks without a plan of dwell k, so many ticks after its scan."""
+        dwell = self._dwells.get(self.k)
+        if dwell is None or dwell.t is None or self._ticks - dwell.scan_at < ticks:
+            return ()
+        return tuple(sorted(dwell.tracks - dwell.plans))
 
     @property
     def has_overdue(self) -> bool:
@@ -349,10 +358,19 @@ class RecordedRun:
         missing = sorted(dwell.tracks - dwell.plans)
         return missing if missing or not self._timer.was_asked else None
 
+    @property
+    def awaits_waveform(self) -> bool:
+        """Whether dwell k lacks its waveform alone, though it was asked for: the allocator may lack plans."""
+        dwell = self._dwells.get(self.k)
+        return self._timer.was_asked and dwell is not None and not dwell.has_waveform and self._is_planned(dwell)
+
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth
+        return has_truth and dwell.has_waveform and self._is_planned(dwell)
+
+    def _is_planned(self, dwell: _Dwell) -> bool:
         is_all_planned = len(dwell.plans) >= len(dwell.tracks) and dwell.tracks <= dwell.plans
-        return dwell.t is not None and has_truth and dwell.has_waveform and is_all_planned
+        return dwell.t is not None and is_all_planned
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -114,10 +114,13 @@ class WaveformRecall(Message):
 
 
 class History(Message):
-    """Journalled messages of one topic, in order of dwells: recorder -> the one process that recalled them."""
+    """Journalled messages of one topic, in order of dwells: recorder -> the one process that lacks them.
 
-    to: ProcessName  # a planner's name, or "emulator", of which there is one
-    topic: Literal["scan", "waveform", "snapshot"]
+    Planners and the emulator recall them. The allocator is given the plans of a dwell that lacks its waveform alone.
+    """
+
+    to: ProcessName  # a planner's name, or "emulator" or "allocator", of which a run has one
+    topic: Literal["scan", "plan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[Payload], Field(max_length=MAX_HISTORY)]  # each an encoded message, envelope and all
     epoch: Epoch = 0  # as of a checkpoint

@@ -176,7 +176,7 @@ TOPICS = (
     Topic("run/{run}/nowaveforms", NoWaveforms, _A, (_R,), UNTIL_HELD),
     Topic("run/{run}/recall/scan/{slots}", ScanRecall, _P, (_R,), UNTIL_ANSWERED),
     Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,), UNTIL_ANSWERED),
-    Topic("run/{run}/history/{to}", History, _R, (_E, _P), ONCE),
+    Topic("run/{run}/history/{to}", History, _R, (_E, _P, _A), ONCE),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}
@@ -186,7 +186,7 @@ PARTS_OF_KEYS = {
     "build": "digest of the sender's program and of what its machine computes: a radar's processes have one",
     "run": "name of the run",
     "slots": "FIRST-LAST of 16 slots of tracks that the planner is for; 0-15: all",
-    "to": "name of the planner that is answered, or emulator",
+    "to": "name of the planner that is answered, or emulator, or allocator",
     "protocol": "version of messages and keys",
     "role": "of the process",
     "name": "of the process, or of the front end",

@@ -6,14 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.recorder.core import BEHIND_TICKS, RecorderCore
 from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import OVERDUE_S
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan, Truth, Waveform
-from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
+from cogradar.shared.protocol.recovery import History, ScanRecall, Snapshot
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.runner import TICK_S
 from tests.samples import sample
-from tests.services.loop import SMOKE, checkpoints, scans, smoke_start, waveforms
+from tests.services.loop import SMOKE, checkpoint, checkpoints, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged
 
 pytestmark = pytest.mark.usefixtures("either_store")
@@ -105,6 +109,38 @@ def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message])
     for tick, answer in answers.items():  # every second, for who joins meanwhile
         is_said = tick in asked or tick % 4 == 0
         assert answer == (checkpoints(start, 2, t, epoch=epoch, resend=tick in asked) if is_said else [])
+
+
+def test_the_plans_of_a_dwell_that_lacks_its_waveform_alone_are_handed_to_the_allocator(sent: list[Message]) -> None:
+    """When it was asked for before: no planner may be left that could send them again."""
+    journal = Journal(":memory:")
+    core, dwell_1 = RecorderCore(journal), [one for one in sent if getattr(one, "k", None) == 1]
+    acknowledged(core, sent[: sent.index(waveforms(sent)[0]) + 1])
+    for message in (one for one in dwell_1 if not isinstance(one, Waveform)):
+        core.handle(message)
+    answers = {tick: core.handle(Tick(0.25 * tick)) for tick in range(1, 30)}
+    given = {tick: [one for one in answer if isinstance(one, History)] for tick, answer in answers.items()}
+    plans = sorted((one for one in dwell_1 if isinstance(one, Plan)), key=lambda plan: plan.target)
+    history = History(
+        run="r", to="allocator", topic="plan", k=1, payloads=[encode(plan) for plan in plans], epoch=journal.epoch
+    )
+    assert {tick: found for tick, found in given.items() if found} == {6: [history], 14: [history]}
+    (allocator := AllocatorCore()).handle(checkpoint(smoke_start(), k=1, t=scans(sent)[0].t))
+    assert [encode(one) for one in allocator.handle(history)] == [encode(waveforms(sent)[1])]
+
+
+def test_plans_are_late_after_their_scan_whatever_else_was_away(sent: list[Message]) -> None:
+    """First the emulator for ten seconds, then the allocator: that says nothing of the planners."""
+    core, overdue = RecorderCore(Journal(":memory:")), list[tuple[int, list[int]]]()
+    acknowledged(core, sent[: sent.index(waveforms(sent)[0]) + 1])
+    of_dwell_1 = [one for one in sent if getattr(one, "k", None) == 1 and not isinstance(one, Scan | Waveform)]
+    come: dict[int, list[Message]] = {40: [scans(sent)[1]], 41: of_dwell_1, 80: [waveforms(sent)[1], scans(sent)[2]]}
+    for tick in range(1, 100):
+        for message in come.get(tick, ()):
+            core.handle(message)
+        said = core.handle(Tick(0.25 * tick))
+        overdue += [(tick, one.overdue) for one in said if isinstance(one, Checkpoint) and one.overdue]
+    assert overdue == 2 * [(80 + round(OVERDUE_S / TICK_S) - 1, [0, 1])]  # for the radar and for the emulator
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 10.0])

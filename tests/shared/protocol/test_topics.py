@@ -55,7 +55,7 @@ def test_who_reads_what() -> None:
         Role.ROUTER: set(),
         Role.EMULATOR: {EmulatorCheckpoint, Waveform, History},
         Role.PLANNER: {Checkpoint, Scan, History, Handover, NoPlans},
-        Role.ALLOCATOR: {Checkpoint, Plan, Scan},
+        Role.ALLOCATOR: {Checkpoint, History, Plan, Scan},
         Role.RECORDER: set(BY_MESSAGE) - {EmulatorCheckpoint, History, Handover},
         Role.METRICS: {Checkpoint},
     }

@@ -200,7 +200,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
         History,
         to=RUN,
         run=RUN,
-        topic=st.sampled_from(["scan", "waveform", "snapshot"]),
+        topic=st.sampled_from(["scan", "plan", "waveform", "snapshot"]),
         k=INDEX,
         payloads=st.lists(st.binary(max_size=50), max_size=MAX_HISTORY),
     ),
