@@ -99,8 +99,8 @@ MUTANTS = (
     Mutant(
         "a dwell is complete without its waveform",
         RUN,
-        "has_truth and dwell.has_waveform and is_all_planned",
-        "has_truth and is_all_planned",
+        "has_truth and dwell.has_waveform and self._is_planned(dwell)",
+        "has_truth and self._is_planned(dwell)",
     ),
     Mutant("a dwell is complete without its truth", RUN, "dwell.has_truth or not self._has_truth", "True"),
     Mutant(
