@@ -119,7 +119,7 @@ class History(Message):
     Planners and the emulator recall them. The allocator is given the plans of a dwell that lacks its waveform alone.
     """
 
-    to: ProcessName  # a planner's name, or "emulator" or "allocator", of which a run has one
+    to: ProcessName  # a planner's name, "emulator" or "allocator"
     topic: Literal["scan", "plan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[Payload], Field(max_length=MAX_HISTORY)]  # each an encoded message, envelope and all
