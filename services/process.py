@@ -27,7 +27,7 @@ from cogradar.shared.wire.meter import Measured, Measures
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.pool.tokens import ZenohTokens
 from cogradar.shared.wire.queries import Claim, alive, names_alive
-from cogradar.shared.wire.runner import Answering, Closing, Core, Sharing, serve
+from cogradar.shared.wire.runner import Answering, Closing, Core, Leading, Sharing, serve
 from cogradar.shared.wire.session import BadConfig, Link, Session, open_session, run_router
 from cogradar.shared.wire.zenoh_bus import ZenohBus
 
@@ -60,15 +60,6 @@ class Beginning(Protocol):
     """A core that begins runs, for which a recorder must be there."""
 
     has_recorder: Callable[[], bool]
-
-
-@runtime_checkable
-class Leading(Protocol):
-    """A core that leads runs, by a journal that has one leader after the other."""
-
-    @property
-    def epoch(self) -> int:
-        """Since when, by the journal; 0: it leads none."""
 
 
 def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event, allow: str | None = None) -> None:
@@ -138,6 +129,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event, 
         )
         if service.kernels:
             closing.enter_context(say_late())
+        if isinstance(core, Leading):
+            bus.publish(*core.lead())
         serve(core, bus, stop, bus.meter, _beat(_both(heartbeat, validity.tell), service.role, claim))
         if isinstance(core, Troubled) and core.trouble:
             raise StoreFailed(core.trouble)

@@ -110,6 +110,7 @@ class AllocatorCore:
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
         for name in self._inactivity.after(event):
+            self._pending.forget(name)
             self._runs.pop(name, None)
             self._refused.pop(name, None)
         match event:
@@ -151,11 +152,11 @@ class AllocatorCore:
             require(run.pacing.loses_dwells or is_open, "plans are kept of a dwell that is acknowledged")
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
-        """Go on with a run; begin one that is new, or that is rewound."""
+        """Go on with a run, or begin it."""
         run = self._runs.get(checkpoint.run)
         if run is not None and run.failed is not None:
             return (run.failed,)
-        if run is not None and not run.resend.is_rewound_by(checkpoint):
+        if run is not None:
             run.forget(checkpoint.k)
             run.resend.acknowledge(checkpoint)
             run.orders = checkpoint.orders

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import pacing_at
-from cogradar.shared.protocol.events import Event, Shards, Tick
+from cogradar.shared.protocol.events import Event, Rewind, Shards, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Refused
 from cogradar.shared.protocol.topics import ALL_SHARDS, shard_of
 from cogradar.shared.scenario.radar_config import RadarConfig
@@ -43,6 +43,9 @@ class Inactivity:
         match event:
             case Shards():
                 return self._serve(event.held)
+            case Rewind():
+                self._forget(event.run)
+                return [event.run]
             case _ if self.is_elsewhere(event):
                 pass
             case Checkpoint(ended=True):

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from cogradar.services.delivery.invariant import require
-from cogradar.services.delivery.pacing import pacing_at
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Truth, Waveform
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
@@ -20,6 +19,7 @@ class ResendBuffer:
     def __init__(self, k: int) -> None:
         self.k = k  # acknowledged up to, not including, this dwell
         self._sent: dict[int, list[Message]] = {}
+        self._epoch = 0
         self._asked: Checkpoint | None = None
         self._has_waited = False  # ... while there was something to handle first,
         self._is_asked_again = False  # ... and then again
@@ -32,7 +32,11 @@ class ResendBuffer:
         return messages
 
     def acknowledge(self, checkpoint: Checkpoint) -> None:
-        """Drop what is acknowledged, and note what the recorder wants again."""
+        """Drop what is acknowledged, and note what the recorder wants again.
+
+        A lower k is of an older journal that was put in place, and the run goes on, as it does in real time. Of the
+        same epoch it is an older checkpoint that came late.
+        """
         if checkpoint.resend:
             is_same = self._asked is not None and self._asked.k == checkpoint.k
             self._is_asked_again = is_same and self._has_waited
@@ -40,7 +44,8 @@ class ResendBuffer:
             self._asked = checkpoint
         elif checkpoint.k > self.k:
             self._asked = None
-        self.k = checkpoint.k
+        self.k = max(self.k, checkpoint.k) if checkpoint.epoch == self._epoch else checkpoint.k
+        self._epoch = checkpoint.epoch
         self._sent = {dwell: messages for dwell, messages in self._sent.items() if dwell >= self.k}
 
     @property
@@ -67,10 +72,3 @@ class ResendBuffer:
     def validate(self) -> None:
         """What is kept is bounded. Raises BrokenInvariant."""
         require(len(self._sent) <= MAX_DWELLS, "more dwells are kept than may be")
-
-    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
-        """Whether the journal has lost dwells that it had acknowledged, so that the run must begin anew from there.
-
-        In real time no dwell can be repeated: such a run goes on where it is.
-        """
-        return checkpoint.k < self.k and not pacing_at(checkpoint.rate_hz).loses_dwells

@@ -119,15 +119,16 @@ class EmulatorCore:
         """Begin a run, let more dwells happen, or send again what was lost."""
         for name in self._inactivity.after(event):
             self._forget(name)
+            self._pending.forget(name)
         match event:
             case _ if self._inactivity.is_elsewhere(event):
                 pass
             case EmulatorCheckpoint(ended=True):
                 self._forget(event.run)
                 self._pending.forget(event.run)
-            case EmulatorCheckpoint() if self._goes_on_at(event):
+            case EmulatorCheckpoint() if event.run in self._runs:
                 return _checkpoint(self._runs[event.run], event)
-            case EmulatorCheckpoint():  # a new run, or one that is rewound
+            case EmulatorCheckpoint():
                 return self._begin(event)
             case Waveform() if event.run in self._runs:
                 return _take(self._runs[event.run], event)
@@ -202,10 +203,6 @@ class EmulatorCore:
             run.begun_k = run.k
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
-
-    def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
-        run = self._runs.get(checkpoint.run)
-        return run is not None and not run.resend.is_rewound_by(checkpoint)
 
     def _forget(self, name: str) -> None:
         if (run := self._runs.pop(name, None)) is not None:

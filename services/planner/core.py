@@ -71,6 +71,7 @@ class PlannerCore:
         """Receive a scan and plan; on a change of membership, take up the tracks that this worker now owns."""
         for run in self._inactivity.after(event):
             self._forget(run)
+            self._pending.forget(run)
         try:
             answers = self._handle(event)
         except Unplanned as error:
@@ -165,11 +166,7 @@ class PlannerCore:
                 return ()
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
-        """Begin a run, note how far it is acknowledged, or forget it.
-
-        A checkpoint below the one before says that the journal lost its end, in a power cut. Dwells will be played
-        again whose messages are forgotten here: the run begins anew, as it does for a worker that joins late.
-        """
+        """Begin a run, note how far it is acknowledged, or forget it."""
         name, rule = checkpoint.run, checkpoint.radar["planner"]["rule"]
         if rule in TRUE_RULES:
             raise Refused(f"radar.planner.rule = {rule}: needs the truth, which no planner is told")
@@ -179,7 +176,7 @@ class PlannerCore:
             return ()
         if name in self._failed:
             return (self._failed[name],)
-        if name in self._runs and not self._runs[name].resend.is_rewound_by(checkpoint):
+        if name in self._runs:
             answers = [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
             return [*answers, *self._tell_late(name)]
         try:

@@ -56,6 +56,14 @@ def led_by(journal: Journal, answers: Sequence[Message]) -> Sequence[Message]:
     return [answer.model_copy(update={"epoch": journal.epoch}) for answer in answers] if answers else answers
 
 
+def revised(journal: Journal, run: RecordedRun) -> RecordedRun:
+    """The run with its revisions, before it goes on; a recorder without room for a while begins again in its epoch."""
+    name = run.start.run
+    run.n_command, *_ = journal.commands(name, "")
+    run.opened = journal.opened.setdefault(name, run.revision)
+    return run
+
+
 def defer(journal: Journal, heard: Checkpoint) -> Sequence[Message]:
     """Raise Deposed if a checkpoint is of a recorder that began after the one that has this journal."""
     if heard.epoch > journal.epoch:
@@ -97,6 +105,11 @@ class RecorderCore:
             journal.give_up_unfinished()
         journal.drop_ended(self._retention)
         journal.commit()
+
+    def lead(self) -> Sequence[Message]:
+        """What it says first: how far each run in lockstep is in its journal. What was made of more is void."""
+        waiting = [run for run in self._runs.values() if not run.pacing.loses_dwells]
+        return led_by(self._journal, [answer for run in waiting for answer in run.checkpoint()])
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Journal a message; a checkpoint if enough is complete, a History if something is recalled. Raises Deposed."""
@@ -158,8 +171,8 @@ class RecorderCore:
             log.info("going on with %s from dwell %d", name, self._runs[name].k)
 
     def _set_aside(self, name: str, reason: str) -> None:
-        self._runs.pop(name, None)
-        self._spans.pop(name, None)
+        for known in (self._runs, self._spans, self._journal.opened):
+            known.pop(name, None)
         self._journal.quarantine(name, reason)
         log.error("%s cannot go on and is set aside: %s", name, reason)
 
@@ -175,7 +188,7 @@ class RecorderCore:
             raise Unreadable("no such run")
         row = check_row(self._journal, name)
         k, t = row["acknowledged_k"], row["acknowledged_t"]
-        run = RecordedRun(start, k, t, self._journal.orders(name), resumed=True)
+        run = revised(self._journal, RecordedRun(start, k, t, self._journal.orders(name), resumed=True))
         run.n_message = row["messages"]
         for target in self._journal.snapshot_ks(name):
             self._journal.snapshot(name, target, 0)  # if it cannot be read, the next one cannot replace it
@@ -263,12 +276,14 @@ class RecorderCore:
                 raise  # what is kept free is for what is granted
             self._journal.add_command(command, last + 1, None, str(refusal))
             self._journal.commit()
+            run.n_command = last + 1
             return answers
         log.info("%s: %r by %s from dwell %d on", command.run, command.action, command.by, order.k)
         self._journal.add_command(command, order.n, order.k, "")
         for other in replaced:
             self._journal.end_order(command.run, other.n, other.k)
         self._journal.commit()
+        run.n_command = order.n
         return [*answers, *run.checkpoint()]
 
     def _take(self, message: OfDwell | Snapshot) -> Sequence[Message]:
@@ -349,6 +364,7 @@ class RecorderCore:
             self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
             self._journal.end_run(end, digest)
         del self._runs[run.start.run], self._spans[run.start.run]
+        self._journal.opened.pop(run.start.run, None)
         others = self._commit()
         run.acknowledged = run.k, run.t
         return [*others, *run.checkpoint(ended=True)]

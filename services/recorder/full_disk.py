@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from cogradar.services.errors import Damaged, NoRoom
-from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by
+from cogradar.services.recorder.core import MAX_RUNS, RecorderCore, defer, led_by, revised
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Event, Membership, Tick
@@ -60,6 +60,10 @@ class Recorder:
     def epoch(self) -> int:
         """With which it leads the runs of its journal; 0: it could not begin yet."""
         return self._journal.epoch
+
+    def lead(self) -> Sequence[Message]:
+        """What it says first. Without room nothing, until it can begin."""
+        return () if self._core is None else self._core.lead()
 
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers. Without room: that runs are held, until there is some."""
@@ -138,7 +142,8 @@ class Recorder:
         core = self._begin()
         log.warning("%s: it can be written again", self._journal.path)
         self._ticks, cancelled, self._cancelled = 0, self._cancelled, set()
-        return [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
+        ended = [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
+        return [*core.lead(), *ended]
 
     def _note(self, event: Event) -> None:
         """A client does not repeat its request to cancel a run for ever."""
@@ -155,9 +160,10 @@ class Recorder:
             return ()
         for row in rows:
             try:
-                start, orders = self._journal.start(row["run"]), self._journal.orders(row["run"])
+                if (start := self._journal.start(row["run"])) is None:
+                    continue
+                run = RecordedRun(start, row["k"], row["t"], self._journal.orders(row["run"]))
+                answers += revised(self._journal, run).checkpoint(held=True)
             except (Unreadable, Damaged):
                 continue  # it will be set aside
-            if start is not None:
-                answers += RecordedRun(start, row["k"], row["t"], orders).checkpoint(held=True)
         return led_by(self._journal, answers)

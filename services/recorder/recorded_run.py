@@ -79,6 +79,8 @@ class RecordedRun:
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and as of the last checkpoint
         self.n_message = 0  # of these dwells, in the journal
+        self.n_command = 0  # number of the last one in the journal
+        self.opened = 0  # revision with which the epoch of its recorder began
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell
@@ -315,11 +317,17 @@ class RecordedRun:
         shown = next((dwell.since for dwell in self._dwells.values() if dwell.t is not None), self._ticks)
         return (self._ticks - shown) % ASK_TICKS == 1
 
+    @property
+    def revision(self) -> int:
+        """How far it is in the journal. It grows with all that processes are told of."""
+        return self.acknowledged[0] + self.n_command
+
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
         k, t = self.acknowledged
         now = {"k": k, "t": t, "resend": resend, "ended": ended, "held": held, "overdue": list(self._overdue)}
         now |= {"orders": list(self.orders.orders), "lacking": self._lacking() if resend else None}
+        now |= {"revision": self.revision, "opened": self.opened}
         self._overdue = ()
         if resend:
             self._timer.ask()

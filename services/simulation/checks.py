@@ -97,18 +97,20 @@ class Told:
 
 
 def check_power(
-    starts: Sequence[RunStart], radiated: Iterable[Dwell], given: Mapping[str, Sequence[Order | None]]
+    starts: Sequence[RunStart], radiated: Iterable[Dwell], given: Mapping[str, Sequence[Order | None]], since_s: float
 ) -> None:
     """No more is radiated than the array has, or than an order allows. Raises Violated.
 
-    given : what became of the commands of each run; in real time the radar may be told of one too late for its dwell
+    given   : what became of the commands of each run; in real time the radar may be told of one too late for its dwell
+    since_s : when an older journal was put in place last; in lockstep orders of dwells before may be lost
     """
     loses = {start.run: pacing_at(start.rate_hz).loses_dwells for start in starts}
     limits = {start.run: float(start.scenario["radar"]["array"]["power"]) for start in starts}
     orders = {run: [order for order in commands if order is not None] for run, commands in given.items()}
     for dwell in radiated:
         power = dwell.isotropic + float(np.sum(np.abs(np.frombuffer(dwell.factor, np.complex64)) ** 2))
-        there = in_force(dwell.orders if loses[dwell.run] else orders[dwell.run], dwell.k)
+        followed = orders[dwell.run] if dwell.at_s >= since_s else []
+        there = in_force(dwell.orders if loses[dwell.run] else followed, dwell.k)
         limit = 0.0 if is_paused(there) else limits[dwell.run] * power_share(there)
         if not power <= limit * (1.0 + TOLERANCE):
             raise Violated(f"{dwell.run}: dwell {dwell.k} with power {power:g}, at most {limit:g}")

@@ -21,14 +21,14 @@ from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
 from cogradar.services.simulation.network.links import LIVELINESS, Links
 from cogradar.services.simulation.network.tokens import SeenTokens, TokenSpace
-from cogradar.services.simulation.process import SPIN, Clock, Process
-from cogradar.shared.protocol.events import Event, Membership, Shards, Tick
+from cogradar.services.simulation.process import SPIN, Arrived, Clock, Process
+from cogradar.shared.protocol.events import Event, Membership, Rewind, Shards, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Plan, Refused, RunStart
 from cogradar.shared.protocol.recovery import History
 from cogradar.shared.protocol.topics import ALL_SHARDS, BY_MESSAGE, Role, shard_of
 from cogradar.shared.wire.codec import decode, encode
 from cogradar.shared.wire.pool.members import Pool
-from cogradar.shared.wire.runner import TICK_S, Core, Sharing
+from cogradar.shared.wire.runner import TICK_S, Core, Leading, Sharing
 
 RESTART_S = 0.5  # after which a process that ended by itself is started again
 ASK_TICKS = 8  # of the operator, between two starts of a run of which it hears nothing
@@ -193,6 +193,7 @@ class Cluster:
         """Send a message to all its readers."""
         self._check_serves(sender, message)
         topic, payload = BY_MESSAGE[type(message)], encode(message)
+        item = Arrived(payload, sender.epochs.say(message))
         if isinstance(message, History) and not self.said.keys() >= set(message.payloads):
             raise Violated(f"{sender.name} recalls a {message.topic} of {message.run} that was never sent")
         to = getattr(message, "to", None)
@@ -206,7 +207,7 @@ class Cluster:
                 self.counts["lost"] += not arrivals
                 self.counts["again"] += max(len(arrivals) - 1, 0)
                 for at_s in arrivals:
-                    self.at(at_s, partial(self._put, reader, payload))
+                    self.at(at_s, partial(self._put, reader, item))
 
     def _check_serves(self, sender: Process, message: Message) -> None:
         """Raises Violated if another process serves the run of what one sends, and each can know of the other."""
@@ -245,11 +246,17 @@ class Cluster:
             raise Spinning(f"{process.name} does not come to rest")
         self._set_timer(process)
 
-    def _receive(self, process: Process, item: bytes | Membership | Shards) -> None:
-        event = decode(item) if isinstance(item, bytes) else item
-        if isinstance(event, Message) and process.epochs.fault(event):
-            self.counts["deposed"] += 1
-            return
+    def _receive(self, process: Process, item: Arrived | Membership | Shards) -> None:
+        event: Event
+        if isinstance(item, Arrived):
+            event = decode(item.payload)
+            if process.epochs.voids(event):
+                self._handle(process, Rewind(event.run))
+            if process.epochs.fault(event, item.stamp):
+                self.counts["deposed"] += 1
+                return
+        else:
+            event = item
         if isinstance(event, Checkpoint):
             self.told.hear(event, self.disk.journal if self.disk.is_open else None)
             if process.role is Role.EMULATOR:
@@ -304,17 +311,17 @@ class Cluster:
         if key not in self.processes:
             self.start(key)
 
-    def _put(self, process: Process, item: bytes | Membership) -> None:
+    def _put(self, process: Process, item: Arrived | Membership) -> None:
         if self._is_there(process):
             if not self._is_elsewhere(process.pool, item):
                 process.inbox.append(item)
             self.serve(process)
-        elif isinstance(item, bytes):
+        elif isinstance(item, Arrived):
             self.counts["dead"] += 1
 
-    def _is_elsewhere(self, pool: Pool | None, item: bytes | Membership) -> bool:
+    def _is_elsewhere(self, pool: Pool | None, item: Arrived | Membership) -> bool:
         """Whether a message is dropped by its key: it is of a run that is not served here."""
-        return pool is not None and isinstance(item, bytes) and shard_of(self.said[item].run) not in pool.held
+        return pool is not None and isinstance(item, Arrived) and shard_of(self.said[item.payload].run) not in pool.held
 
     def _add(self, key: str, name: str, role: Role, core: Core) -> None:
         process = self.processes[key] = Process(name, role, core, Clock(since_s=self.now_s))
@@ -325,6 +332,9 @@ class Cluster:
         self.tell_members()
         if self._away[key]:
             self._tell_shards(process, key)
+        if isinstance(core, Leading):
+            for message in core.lead():
+                self.publish(process, message)
         self._set_timer(process)
 
     def _is_there(self, process: Process) -> bool:

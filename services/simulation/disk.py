@@ -118,8 +118,9 @@ class Disk:
         _copy(self._where, self._backup)
 
     def restore(self) -> None:
-        """Put the journal in place that was kept, while no recorder is there."""
+        """Put the journal in place that was kept, while no recorder is there; one that is frozen has the other file."""
         if self._backup is not None:
+            self._life += 1
             _copy(self._backup, self.path)
 
     def lose_syncs(self) -> None:

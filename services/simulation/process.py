@@ -2,12 +2,13 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from cogradar.services.delivery.invariant import Checked
 from cogradar.services.simulation.schedule import Fault
 from cogradar.shared.protocol.events import Membership, Shards, Tick
 from cogradar.shared.protocol.topics import Role
-from cogradar.shared.wire.bus import Epochs
+from cogradar.shared.wire.epochs import Epochs, Stamp
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
 
@@ -36,6 +37,13 @@ class Clock:
         self.base_s, self.since_s, self.pace = self.read(now_s) + ahead_s, now_s, pace
 
 
+class Arrived(NamedTuple):
+    """What was sent, with its stamp."""
+
+    payload: bytes
+    stamp: Stamp | None
+
+
 @dataclass(eq=False)
 class Process:
     """A core and its surroundings."""
@@ -44,7 +52,7 @@ class Process:
     role: Role
     core: Core
     clock: Clock
-    inbox: deque[bytes | Membership | Shards] = field(default_factory=deque)
+    inbox: deque[Arrived | Membership | Shards] = field(default_factory=deque)
     epochs: Epochs = field(default_factory=Epochs)
     halted: set[Fault] = field(default_factory=set)  # what keeps it from going on
     behind: set[Fault] = field(default_factory=set)  # what lets it always have something to read

@@ -91,7 +91,6 @@ DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.ROT, Kind.RESTORED, Kin
 CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
 # In real time nothing can be repeated, and no role runs twice at once.
 _OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.UNSYNCED, Kind.TWIN, Kind.ROT})
-_PUTS_BACK = frozenset({Kind.RESTORED, Kind.UNSYNCED})  # an older journal
 # km/s and s cannot be mixed up here: probability, s, or factor.
 _AMOUNTS = {
     Kind.LOSS: (0.02, 0.7),
@@ -303,13 +302,9 @@ class Schedule:
         return tuple(Asked(int(rng.integers(self.runs)), actions[i], at) for i, at in chosen)
 
     def _over_time(self, commands: tuple[Asked, ...]) -> tuple[Asked, ...]:
-        """In half of the schedules commands are asked while a run goes on, each for the next dwell that it can shape.
-
-        Not where a journal is put back: what it lacks would be granted for another dwell, and messages that are on
-        their way were made under the order that is lost (`docs/adr/0008-recovery-by-checkpoints.md`).
-        """
+        """In half of the schedules commands are asked while a run goes on, for the next dwell that they can shape."""
         rng = generator(self.seed, Purpose.FAULT, SCHEDULE, 7)
-        if rng.random() < 0.5 or any(fault.kind in _PUTS_BACK for fault in self.faults):
+        if rng.random() < 0.5:
             return commands
         return tuple(replace(one, at=0, asked_s=float(rng.random()) * _LOCKSTEP_S) for one in commands)
 

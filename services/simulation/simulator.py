@@ -107,6 +107,7 @@ class Simulator:
             for n, one in enumerate(schedule.commands)
         ]
         self._radiated: list[Dwell] = []
+        self._put_back_s = 0.0  # when an older journal was put in place last
         self._down: dict[str, set[Fault]] = {name: set() for name in schedule.names}
         self._cluster = Cluster(
             schedule.seed, disk, self._watch, prepares=schedule.prepares, has_pools=schedule.pool > 1
@@ -204,7 +205,7 @@ class Simulator:
         radiated = [dwell for dwell in self._radiated if dwell.run not in damaged]
         self._check_believed(damaged)
         given = {start.run: self._given(start.run) for start in starts}
-        check_power(starts, radiated, given)
+        check_power(starts, radiated, given, self._put_back_s)
         if starts:
             check_journal(self._journal, starts, said)
         check_waveforms(starts, radiated, said.values())
@@ -338,13 +339,21 @@ class Simulator:
                 self._disk.rot()
                 self._start(fault.who)
             case Kind.RESTORED | Kind.UNSYNCED:
-                cluster.told.is_restored = True
-                cluster.kill(fault.who)
-                (self._disk.restore if fault.kind is Kind.RESTORED else self._disk.cut_back)()
-                self._start(fault.who)
-                self._ask()  # runs that the journal lacks are begun again
+                self._put_journal_back(fault)
             case _:
                 pass
+
+    def _put_journal_back(self, fault: Fault) -> None:
+        """Let the recorder come back with an older journal."""
+        cluster = self._cluster
+        cluster.told.is_restored, self._put_back_s = True, cluster.now_s
+        if fault.kind is Kind.UNSYNCED:  # without power no process of the machine goes on
+            for key in [key for key, one in cluster.processes.items() if one.is_left]:
+                cluster.kill(key)
+        cluster.kill(fault.who)
+        (self._disk.restore if fault.kind is Kind.RESTORED else self._disk.cut_back)()
+        self._start(fault.who)
+        self._ask()  # runs that the journal lacks are begun again
 
     def _double(self, fault: Fault, *, is_there: bool) -> None:
         """A second process of a role, with or without the first one's runs."""

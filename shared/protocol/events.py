@@ -28,4 +28,14 @@ class Tick:
     drained: bool = True  # no message has waited at some time since the last one: silence is the others' silence
 
 
-Event = Message | Membership | Shards | Tick
+@dataclass(frozen=True)
+class Rewind:
+    """What is known of a run is made of more than its journal has, which is an older one: forget it.
+
+    The run begins anew with the checkpoint that comes next. From the epochs of what was heard, never on the wire.
+    """
+
+    run: str
+
+
+Event = Message | Membership | Rewind | Shards | Tick

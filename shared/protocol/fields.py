@@ -272,6 +272,7 @@ Product = Annotated[float, Field(ge=0, le=LARGEST**3)]  # of sizes
 Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep
 MAX_EPOCH = 2**62
 Epoch = Annotated[int, Field(ge=0, le=MAX_EPOCH)]
+Revision = Annotated[int, Field(ge=0, le=MAX_EPOCH)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 

@@ -36,6 +36,7 @@ from cogradar.shared.protocol.fields import (
     OwnName,
     Radar,
     Rate,
+    Revision,
     RunId,
     Seed,
     Size,
@@ -144,6 +145,8 @@ class Checkpoint(_Settings):
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
     orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
     epoch: Epoch = 0  # of the recorder that says it; dropped after a higher one of this run
+    revision: Revision = 0  # of the run in the journal: dwells acknowledged, and commands; what this tells of
+    opened: Revision = 0  # ... and the one with which this epoch began: what was made of more, before it, is void
 
 
 class EmulatorCheckpoint(Checkpoint):

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from queue import Empty
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from cogradar.shared.protocol.events import Event, Membership
+from cogradar.shared.protocol.events import Event, Membership, Rewind
 from cogradar.shared.protocol.messages import Message
 from cogradar.shared.protocol.slots import ALL_SLOTS, may_be_said, slots_of
 from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
 from cogradar.shared.wire.codec import WHOLE, BadMessage, Parts, decode, encode, split
+from cogradar.shared.wire.epochs import Epochs, Stamp
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -42,30 +43,8 @@ class Bus(Protocol):
 LOCAL = "local"  # build of the cores that share one process
 MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
-MAX_RUNS_HEARD = 8192  # whose epochs are kept
 MAX_WAITING = 20_000  # payloads of one topic, ...
 MAX_WAITING_BYTES = 32 << 20  # ... and their bytes, that wait at a process
-
-
-class Epochs:
-    """The highest epoch of each run: what a recorder says that was deposed since is not to be heeded.
-
-    It was frozen or cut off, and may acknowledge what the journal of its successor does not have.
-    """
-
-    def __init__(self) -> None:
-        self._newest: dict[str, int] = {}
-
-    def fault(self, message: Message) -> str:
-        """Why a message must be dropped; "": it is of the newest epoch that its run was heard of, or has none."""
-        epoch = vars(message).get("epoch")
-        if epoch is None:
-            return ""
-        newest = self._newest.pop(message.run, 0)
-        if len(self._newest) >= MAX_RUNS_HEARD:
-            del self._newest[next(iter(self._newest))]  # heard of longest ago
-        self._newest[message.run] = max(newest, epoch)
-        return f"{message.run}: of epoch {epoch}, another recorder of epoch {newest} leads it" if epoch < newest else ""
 
 
 class Inbox:
@@ -77,12 +56,17 @@ class Inbox:
         self._whole = {part: whole for whole, part in parts.items()}
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
         self.bad_of_topic: Counter[str] = Counter()
-        self._epochs = Epochs()
+        self.epochs = Epochs()
+        self.void: set[str] = set()  # runs of which all that was heard before is void; whoever told the core drops them
 
-    def open(self, key: str, payload: bytes) -> list[Message]:
-        """Messages of a payload that came on `key`: none if it is bad, several if they travelled together."""
+    def open(self, key: str, payload: bytes, stamp: bytes | None = None) -> list[Message]:
+        """Messages of a payload that came on `key`: none if it is bad, several if they travelled together.
+
+        stamp : what came beside it, `cogradar.shared.wire.epochs.Stamp`; None: nothing
+        """
         try:
             messages = [decode(one, self._parts) for one in split(payload)]
+            made_of = None if stamp is None else Stamp.of(stamp)
         except BadMessage as error:
             self.drop(key, str(error))
             return []
@@ -91,10 +75,12 @@ class Inbox:
         if len(kinds) > 1 or not self._is_key_of(messages, key):
             self.drop(key, "the message belongs on another key")
             return []
-        return [message for message in messages if self._is_current(message, key)]
+        return [message for message in messages if self._is_current(message, key, made_of)]
 
-    def _is_current(self, message: Message, key: str) -> bool:
-        if fault := self._epochs.fault(message):
+    def _is_current(self, message: Message, key: str, stamp: Stamp | None) -> bool:
+        if self.epochs.voids(message):
+            self.void.add(message.run)
+        if fault := self.epochs.fault(message, stamp):
             self.drop(key, fault)
         return not fault
 
@@ -257,7 +243,12 @@ class LocalNetwork:
 
     def deliver_bytes(self, key: str, payload: bytes) -> None:
         """Queue the messages of a payload that came on `key` at all its readers."""
-        for message in self.inbox.open(key, payload):
+        messages = self.inbox.open(key, payload)
+        while self.inbox.void:
+            rewound = Rewind(self.inbox.void.pop())
+            for bus in self.endpoints:
+                bus.queue.append(rewound)
+        for message in messages:
             for bus in self.endpoints:
                 if type(message) in bus.reads and is_for(message, bus.role, bus.name):
                     bus.queue.append(message)

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -65,6 +65,18 @@ class Sharing(Protocol):
     @property
     def busy(self) -> frozenset[int]:
         """Shards with runs."""
+
+
+@runtime_checkable
+class Leading(Protocol):
+    """A core that leads runs, by a journal that has one leader after the other."""
+
+    @property
+    def epoch(self) -> int:
+        """Since when, by the journal; 0: it leads none."""
+
+    def lead(self) -> Sequence[Message]:
+        """What is said before anything is heard, so that what was made of another journal is told from the rest."""
 
 
 @runtime_checkable

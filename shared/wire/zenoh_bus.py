@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import zenoh
 
 from cogradar.shared.protocol.build import build
-from cogradar.shared.protocol.events import Event, Membership, Shards
+from cogradar.shared.protocol.events import Event, Membership, Rewind, Shards
 from cogradar.shared.protocol.messages import Message
 from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
 from cogradar.shared.protocol.topics import (
@@ -52,6 +52,7 @@ _SAMPLES = {topic.message: zenoh.Encoding(topic.encoding) for topic in TOPICS}
 class _Payload(NamedTuple):
     key: str
     payload: bytes
+    stamp: bytes | None
     arrived: float
 
 
@@ -141,10 +142,12 @@ class ZenohBus:
 
     def _put(self, lot: Sequence[_Encoded]) -> None:
         first = lot[0].message
+        stamps = [self.inbox.epochs.say(encoded.message) for encoded in lot]  # one and the same
         self._session.put(
             BY_MESSAGE[type(first)].key_of(first, self.build, self._slots),
             join([encoded.payload for encoded in lot]),
             encoding=_SAMPLES[type(first)],
+            attachment=None if stamps[0] is None else stamps[0].packed(),
             **QUALITY,
         )
         for message, payload, begun in lot:
@@ -228,7 +231,7 @@ class ZenohBus:
             waits = len(key) + (0 if is_long else n_byte)
             if self._queue.admit(name, waits, topic.gives_way):
                 arrived = time.monotonic()
-                item = _TooLong(key, n_byte) if is_long else _Payload(key, sample.payload.to_bytes(), arrived)
+                item = _TooLong(key, n_byte) if is_long else _Payload(key, *_bytes_of(sample), arrived)
                 self._queue.put(item, name, waits)
 
         # On the transport's own thread: one thread less to wake for each message.
@@ -274,11 +277,14 @@ class ZenohBus:
                     answer(query)
         return None
 
-    def _decode(self, item: _Payload) -> Message | None:
-        taken, messages = time.monotonic(), self.inbox.open(item.key, item.payload)
+    def _decode(self, item: _Payload) -> Event | None:
+        taken, messages = time.monotonic(), self.inbox.open(item.key, item.payload, item.stamp)
         if not messages:
             return None
         self.meter.receive(messages, len(item.payload))
+        if self.inbox.void:
+            self._decoded.extend((message, item.arrived) for message in messages)
+            return Rewind(self.inbox.void.pop())
         self._decoded.extend((message, item.arrived) for message in messages[1:])
         return self._taken(messages[0], item.arrived, taken)
 
@@ -339,11 +345,16 @@ class Listener:
         def on_sample(sample: zenoh.Sample) -> None:
             n_byte = len(sample.payload)
             if n_byte <= MAX_BYTES and self._arrivals.admit(name, n_byte, GivesWay.OLDEST):
-                self._arrivals.put(
-                    _Payload(str(sample.key_expr), sample.payload.to_bytes(), time.monotonic()), name, n_byte
-                )
+                item = _Payload(str(sample.key_expr), *_bytes_of(sample), time.monotonic())
+                self._arrivals.put(item, name, n_byte)
 
         return zenoh.handlers.Callback(on_sample, indirect=False)
+
+
+def _bytes_of(sample: zenoh.Sample) -> tuple[bytes, bytes | None]:
+    """What a sample carries, and its stamp."""
+    stamp = sample.attachment
+    return sample.payload.to_bytes(), None if stamp is None else stamp.to_bytes()
 
 
 def _fits(lot: Sequence[_Encoded], encoded: _Encoded) -> bool:

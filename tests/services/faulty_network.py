@@ -17,14 +17,15 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.events import Event, Membership, Rewind, Tick
 from cogradar.shared.protocol.messages import Message, Refused, RunStart
 from cogradar.shared.protocol.slots import may_be_said, slots_of
 from cogradar.shared.protocol.topics import BY_MESSAGE, Role, is_for
 from cogradar.shared.wire.codec import decode, encode
-from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing
+from cogradar.shared.wire.epochs import Epochs, Stamp
+from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Leading, Preparing
 
-Item = bytes | Membership | Tick
+Item = tuple[bytes, Stamp | None] | Membership | Tick
 
 
 @dataclass
@@ -35,6 +36,7 @@ class Process:
     core: Core | None
     queues: dict[str, deque[Item]] = field(default_factory=lambda: defaultdict(deque))  # per sender
     sent: list[Message] = field(default_factory=list)
+    epochs: Epochs = field(default_factory=Epochs)
     frozen: bool = False
     hung: bool = False  # alive for the others, and does nothing
     busy: bool = False  # something always waits for it
@@ -73,8 +75,12 @@ class FaultyNetwork:
     def start(self, name: str) -> None:
         """Start a process, or start it again: it knows nothing."""
         role = Role(name.split("-", maxsplit=1)[0])
-        self.processes[name] = Process(role, self._core(role, name))
+        core = self._core(role, name)
+        self.processes[name] = Process(role, core)
         self._tell_members(role)
+        if isinstance(core, Leading):
+            for message in core.lead():
+                self.publish(name, message)
 
     def kill(self, name: str) -> None:
         """Kill a process: what it knew, what waited for it and what it had not committed is gone."""
@@ -112,8 +118,19 @@ class FaultyNetwork:
         name = busy[self._rng.integers(len(busy))]
         process = self.processes[name]
         item = process.queues[process.waiting[self._rng.integers(len(process.waiting))]].popleft()
-        self._handle(name, decode(item) if isinstance(item, bytes) else item)
+        if isinstance(item, tuple):
+            self._open(name, *item)
+        else:
+            self._handle(name, item)
         return True
+
+    def _open(self, name: str, payload: bytes, stamp: Stamp | None) -> None:
+        """Let a process handle a message that it may heed."""
+        message, epochs = decode(payload), self.processes[name].epochs
+        if epochs.voids(message):
+            self._handle(name, Rewind(message.run))
+        if not epochs.fault(message, stamp):
+            self._handle(name, message)
 
     def _tick_deferring(self) -> bool:
         """Let those handle a tick who have put something off until nothing waits; whether there are any."""
@@ -160,12 +177,13 @@ class FaultyNetwork:
         if self.processes[sender].role is Role.PLANNER:
             assert may_be_said(message, slots_of(sender)), message  # else every reader would drop it
         self.processes[sender].sent.append(message)
+        stamp = self.processes[sender].epochs.say(message)
         for name, process in self.processes.items():
             if not is_for(message, process.role, name):
                 continue
             is_cut = process.cut_off or self.processes[sender].cut_off
             if process.role in topic.readers and not is_cut and self._rng.random() >= self._loss:
-                process.queues[sender].append(payload)
+                process.queues[sender].append((payload, stamp))
 
     def _tell_members(self, role: Role) -> None:
         planners = {n: p for n, p in self.processes.items() if p.role is Role.PLANNER}

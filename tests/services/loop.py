@@ -25,7 +25,14 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
 def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: int) -> EmulatorCheckpoint:
     """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
     settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
-    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, **flags}
+    settings |= {
+        "radar": start.scenario["radar"],
+        "seed": radar_seed(start.seed),
+        "k": k,
+        "t": t,
+        "revision": k,
+        **flags,
+    }
     return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 

@@ -6,7 +6,7 @@ from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import unchanged
 from cogradar.services.allocator.waveform import coasted, waveform
 from cogradar.services.delivery.resend import MAX_DWELLS
-from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.events import Rewind, Tick
 from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform
 from cogradar.shared.scenario.radar_config import Strategy
@@ -61,12 +61,13 @@ def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
     assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
 
 
-def test_a_lower_checkpoint_begins_the_run_anew() -> None:
+def test_a_rewound_run_begins_anew() -> None:
     """The journal was restored from an older state: the planners plan again, and the waveforms are the same."""
     core, start = _started(), smoke_start()
     sent = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
     assert core.handle(checkpoint(start, 3)) == ()
     assert core.handle(_plan(0, k=1)) == ()  # acknowledged
+    core.handle(Rewind(start.run))
     assert core.handle(checkpoint(start, 1)) == []
     again = [answer for k in range(1, 3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
     assert again == sent[1:]

@@ -8,7 +8,7 @@ import pytest
 
 from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.emulator.front_end import GroundTruth, Settings
-from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.events import Rewind, Tick
 from cogradar.shared.protocol.messages import Message, Refused, RunEnd, Scan
 from cogradar.shared.protocol.recovery import WaveformRecall
 from cogradar.shared.signal.array import bin_centres
@@ -45,6 +45,7 @@ def test_a_rewound_run_is_begun_again_and_measured_anew() -> None:
     for k in range(3):
         first += core.handle(waveform_of(k))
     assert core.handle(begin(4, 3)) == [WaveformRecall(run="r", k=3)]
+    core.handle(Rewind("r"))
     assert core.handle(begin(2, 1)) == [WaveformRecall(run="r", k=1)]
     assert (receiver.opened, receiver.closed) == (2, 1)
     (again,) = core.handle(history(1))
@@ -61,6 +62,7 @@ def test_a_simulated_run_that_is_rewound_is_the_same(simulated: Callable[[], Emu
     for k in range(3):
         sent += core.handle(waveform_of(k))
     core.handle(checkpoint(start, 4, 3))
+    core.handle(Rewind("r"))
     assert core.handle(checkpoint(start, 2, 1)) == [WaveformRecall(run="r", k=1)]
     again = [*core.handle(history(1)), *core.handle(waveform_of(2))]
     assert [encode(message) for message in again] == [encode(message) for message in sent[4:]]

@@ -3,7 +3,7 @@ import pytest
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.events import Membership, Tick
+from cogradar.shared.protocol.events import Membership, Rewind, Tick
 from cogradar.shared.protocol.messages import Message, Plan, Scan
 from cogradar.shared.protocol.recovery import History, ScanRecall
 from cogradar.shared.wire.codec import encode
@@ -140,7 +140,7 @@ def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
     assert _feed(core, scans(said)[:1]) == []
 
 
-def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: list[Message]) -> None:
+def test_after_a_rewind_the_planner_is_as_one_that_joins_late(said: list[Message]) -> None:
     """The journal lost its end: dwells are played again of which this worker had dropped all that it sent."""
     start, received = smoke_start(dwells=5), scans(said)
     lost, last = received[-4].k, received[-1].k
@@ -148,6 +148,7 @@ def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: li
     planner.handle(checkpoint(start))
     _feed(planner, received)
     planner.handle(checkpoint(start, last))
+    planner.handle(Rewind(start.run))
     request = list(planner.handle(checkpoint(start, lost, 2)))
     assert (
         request

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants import MUTANTS, Mutant, main, planted
+from tests.mutants import main, planted
+from tests.planted_faults import MUTANTS, Mutant
 
 REPOSITORY = Path(__file__).parents[3]
 

@@ -6,18 +6,16 @@ from queue import Empty
 import pytest
 
 from cogradar.shared.protocol.events import Membership
-from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from cogradar.shared.protocol.recovery import Handover, History, NoPlans, Snapshot
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import Handover, NoPlans, Snapshot
 from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
 from cogradar.shared.wire.bus import (
     LOCAL,
     MAX_BAD_KEYS,
-    MAX_RUNS_HEARD,
     MAX_WAITING,
     MAX_WAITING_BYTES,
     OTHER_KEYS,
     Arrivals,
-    Epochs,
     Inbox,
     LocalBus,
     LocalNetwork,
@@ -222,28 +220,3 @@ def test_what_is_larger_than_all_the_place_there_is_is_dropped() -> None:
     arrivals: Arrivals[int] = Arrivals()
     assert not arrivals.admit("a", MAX_WAITING_BYTES + 1, GivesWay.OLDEST)
     assert arrivals.dropped() == {"a": 1}
-
-
-def test_what_a_deposed_recorder_says_is_dropped_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    """Of the run in which a higher epoch was heard; another recorder may lead another run."""
-    inbox = Inbox(LOCAL)
-
-    def heard(kind: type[Message], epoch: int, run: str = "run-1") -> bool:
-        message = sample(kind, epoch=epoch, run=run)
-        return inbox.open(BY_MESSAGE[kind].key_of(message, LOCAL), encode(message)) == [message]
-
-    assert [heard(Checkpoint, epoch) for epoch in (3, 3, 5, 4, 5, 3, 6)] == [True, True, True, False, True, False, True]
-    assert not heard(History, 5)
-    assert heard(Checkpoint, 1, "run-2")
-    assert inbox.bad_of_topic == {"checkpoint": 2, "history": 1}
-    first, _ = [record.getMessage() for record in caplog.records]
-    assert first.endswith("the first: run-1: of epoch 4, another recorder of epoch 5 leads it")
-
-
-def test_epochs_of_the_runs_that_were_heard_of_last_are_kept() -> None:
-    epochs = Epochs()
-    for n in range(MAX_RUNS_HEARD + 1):
-        assert not epochs.fault(sample(Checkpoint, epoch=5, run=f"run-{n}"))
-        assert epochs.fault(sample(Checkpoint, epoch=4, run="run-0"))  # heard of all the time
-    assert epochs.fault(sample(Checkpoint, epoch=4, run=f"run-{n}"))
-    assert not epochs.fault(sample(Checkpoint, epoch=4, run="run-1"))

@@ -8,7 +8,8 @@ import pytest
 import zenoh
 
 from cogradar.shared.protocol.build import build
-from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
+from cogradar.shared.protocol.events import Event, Rewind
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan
 from cogradar.shared.protocol.topics import BY_MESSAGE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
 from cogradar.shared.wire.bus import MAX_WAITING_BYTES
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode
@@ -62,6 +63,35 @@ def test_messages_of_one_topic_and_run_travel_together(connect: Connect) -> None
     arrivals = {row.arrived for row in reader.timestamps.received}
     assert len(arrivals) <= 5  # a full lot and the rest of it; three alone; the last is not noted yet
     assert len(planner.timestamps.sent) == len(sent)
+
+
+def test_what_is_made_of_a_journal_that_is_no_more_is_dropped(connect: Connect) -> None:
+    """Two planners hear a recorder; one does not hear its successor, which has an older journal."""
+
+    def event_of(bus: ZenohBus) -> Event | None:
+        until = time.monotonic() + 10.0
+        while time.monotonic() < until:
+            if isinstance(event := bus.receive(0.1), Message | Rewind):
+                return event
+        return None
+
+    first, second = connect(Role.RECORDER, "one"), connect(Role.RECORDER, "two")
+    emulator, planner = connect(Role.EMULATOR, "e"), connect(Role.PLANNER, "p")
+    before, after = (sample(Checkpoint, epoch=e, revision=r, opened=r, rate_hz=0.0) for e, r in ((5, 12), (6, 11)))
+    first.publish(before)
+    assert event_of(planner) == before
+    planner.publish(plan())
+    assert {event_of(second), event_of(second)} == {before, plan()}
+    emulator.publish(sample(Scan))  # it has heard no checkpoint: no stamp
+    assert event_of(planner) == sample(Scan)
+    second.publish(after)
+    planner.publish(plan(1))  # made before it hears of the older journal
+    assert event_of(planner) == Rewind(after.run)
+    assert event_of(planner) == after
+    planner.publish(plan(2))
+    assert event_of(second) == sample(Scan)
+    assert event_of(second) == plan(2)
+    assert second.inbox.bad_of_topic == {"plan": 1}
 
 
 def test_samples_and_answers_say_how_they_are_encoded_and_no_reader_asks(connect: Connect, router: str) -> None:
