@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cogradar.shared.wire.membership import LEASE_S, LEAVE_AFTER_S
+from cogradar.shared.wire.pool.live_names import LEASE_S, LEAVE_AFTER_S
 
 MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
 MAX_WAIT_S = 1.0  # real time: how long a track waits for a missing scan while newer ones come

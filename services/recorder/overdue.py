@@ -3,7 +3,7 @@
 from collections.abc import Set
 
 from cogradar.services.delivery.pacing import Pacing
-from cogradar.shared.wire.membership import RETURN_S
+from cogradar.shared.wire.pool.live_names import RETURN_S
 
 # For the first plan of a track, or after a gap: a planner that begins loads its kernels, one may still be coming back.
 FIRST_S = RETURN_S + 1.0

@@ -19,7 +19,7 @@ import zenoh
 
 from cogradar.shared.protocol.topics import ALIVE, EXCHANGES, EXPOSITION, LINK, QUERY, TIMESTAMPS, Role
 from cogradar.shared.wire.codec import MAX_BYTES
-from cogradar.shared.wire.membership import LEASE_S
+from cogradar.shared.wire.pool.live_names import LEASE_S
 from cogradar.shared.wire.queries import ENCODINGS
 from cogradar.shared.wire.timestamps import Timestamps
 

@@ -33,8 +33,8 @@ from cogradar.shared.protocol.topics import (
 )
 from cogradar.shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, Inbox
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, WHOLE, Parts, encode, join
-from cogradar.shared.wire.membership import LiveNames
 from cogradar.shared.wire.meter import Meter
+from cogradar.shared.wire.pool.live_names import LiveNames
 from cogradar.shared.wire.pool.members import Pool
 from cogradar.shared.wire.queries import ENCODINGS, REFUSAL, Alive, Answer, alive, names_alive, parameters, reply
 from cogradar.shared.wire.timestamps import Timestamps

@@ -22,7 +22,7 @@ from cogradar.services.web.run_answers import core_of
 from cogradar.services.web.shared import Shared
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.codec import fields
-from cogradar.shared.wire.membership import LiveNames
+from cogradar.shared.wire.pool.live_names import LiveNames
 
 FOR_S = 1.0  # how long an answer is given again
 WINDOW_S = 10.0  # that rates and percentiles are over

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple, Protocol, Self
 
 from cogradar.shared.protocol.topics import ALL_SHARDS, run_on, shard_of
-from cogradar.shared.wire.membership import LEASE_S
+from cogradar.shared.wire.pool.live_names import LEASE_S
 from cogradar.shared.wire.pool.shares import SETTLE_S, Shares, later_than
 
 PAUSE_S = 0.5 * LEASE_S  # after which a process that did nothing, and did not compute, looks whether it was missed

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from cogradar.shared.protocol.topics import ALL_SHARDS, N_SHARD
-from cogradar.shared.wire.membership import LEASE_S, LEAVE_AFTER_S, RETURN_S
+from cogradar.shared.wire.pool.live_names import LEASE_S, LEAVE_AFTER_S, RETURN_S
 
 SETTLE_S = 0.1  # until a token that is shown at another router is seen, too
 YIELD_S = 0.5  # for which an earlier claim must be there: a process that wakes takes its claims back within this time

@@ -30,7 +30,7 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import coast
-from cogradar.shared.wire.membership import LEAVE_AFTER_S
+from cogradar.shared.wire.pool.live_names import LEAVE_AFTER_S
 from cogradar.shared.wire.session import LEASE_MS
 
 NAMES = ("recorder-0", "emulator-0", "allocator-0", "planner-0", "planner-1")

@@ -11,7 +11,7 @@ import pytest
 
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.topics import ALL_SHARDS, N_SHARD, run_on, shard_of
-from cogradar.shared.wire.membership import LEAVE_AFTER_S, RETURN_S
+from cogradar.shared.wire.pool.live_names import LEAVE_AFTER_S, RETURN_S
 from cogradar.shared.wire.pool.shares import LATEST_NS, SETTLE_S, SUSPENDED_S, UNTAKEN_S, YIELD_S, Shares, later_than
 
 LOOK_S = 0.1

@@ -2,7 +2,7 @@
 
 import math
 
-from cogradar.shared.wire.membership import LEAVE_AFTER_S, RETURN_S, LiveNames
+from cogradar.shared.wire.pool.live_names import LEAVE_AFTER_S, RETURN_S, LiveNames
 
 
 def _both() -> LiveNames:
