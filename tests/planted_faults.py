@@ -306,6 +306,7 @@ MUTANTS = (
         "        lead.revision = max(lead.revision, stamp.revision)\n",
         "",
         only=with_commands_and_a_journal_that_is_put_back,
+        missed="it does harm only to a process that missed each checkpoint of what it passes on",
     ),
     Mutant(
         "a recorder first says how far its runs are when it is asked",
@@ -313,6 +314,7 @@ MUTANTS = (
         "led_by(self._journal, [answer for run in waiting for answer in run.checkpoint()])",
         "()",
         only=with_commands_and_a_journal_that_is_put_back,
+        missed="before its first tick little comes, and most of that is of dwells that it refuses",
     ),
     Mutant(
         "each planner takes another one for the owner",
