@@ -213,6 +213,7 @@ class RecorderCore:
         if len(self._runs) >= MAX_RUNS:
             raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
         run = self._runs[start.run] = RecordedRun(start)
+        self._journal.opened[start.run] = run.opened
         self._journal.add_run(start)
         self._spans[start.run] = KeptSpan.of(start, self._retention)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]

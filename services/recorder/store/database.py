@@ -110,7 +110,7 @@ class Database:
         self.commits = Durations()
         self._newest_row: tuple[Any, ...] = ()  # of the leaders, as it was verified: it is read with each transaction
         self.epoch = 0  # of the recorder that leads the runs of this store; 0: this process leads none
-        self.opened: dict[str, int] = {}  # revision of each run when its epoch began, as far as it was read
+        self.opened: dict[str, int] = {}  # revision of each run that goes on, when its epoch began
         self._is_closed = False
         self._connection = _connect(path, owner, read_only=read_only)
         self.path = self._connection.name

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cogradar.services.errors import BadInput, Deposed
+from cogradar.services.errors import BadInput, Deposed, NoRoom
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.database import KEPT_LEADERS, Database
@@ -16,7 +16,8 @@ from cogradar.services.recorder.store.lock import JournalLock
 from cogradar.services.recorder.store.seal import sealed
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MAX_EPOCH
-from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.messages import Checkpoint, Command, Message
+from cogradar.shared.protocol.orders import PowerLimit
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from tests.services.loop import checkpoint, scans, smoke_start, waveforms
 from tests.services.stored import rows
@@ -119,6 +120,33 @@ def test_all_that_a_recorder_says_has_its_epoch(sent: list[Message]) -> None:
     assert {type(answer) for answer in answers} >= {Checkpoint, History}
     assert _epochs(answers) == {recorder._journal.epoch}
     assert recorder._journal.epoch > 0
+
+
+def test_checkpoints_say_how_far_a_run_is_and_was_when_the_epoch_began(sent: list[Message]) -> None:
+    """Dwells and commands; also where the same recorder had no room for a while, or another one begins."""
+    journal, said = Journal(":memory:"), dict[tuple[int, int, int], None]()  # in their order, each once
+
+    def note(answers: object) -> None:
+        assert isinstance(answers, list | tuple)
+        said.update({(one.k, one.revision, one.opened): None for one in answers if type(one) is Checkpoint})
+
+    first = Recorder(journal)
+    for message in [smoke_start(dwells=300), *sent[1 : sent.index(waveforms(sent)[3]) + 1]]:
+        note(first.handle(message))
+    note([*first.handle(Tick(0.0)), *first.handle(Tick(0.25))])
+    note(first.handle(Command(run="r", id="0" * 32, by="somebody", action=PowerLimit(share=0.5))))
+    assert [*said] == [(0, 0, 0), (4, 4, 0), (4, 5, 0)]
+    said.clear()
+    first._end(NoRoom("full"))
+    note(first._held())
+    first._begin()
+    note(first.lead())
+    assert [*said] == [(4, 5, 0)]
+    said.clear()
+    journal.epoch = 0
+    journal.opened.clear()
+    note(Recorder(journal, resume=True).lead())
+    assert [*said] == [(4, 5, 5)]
 
 
 def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(
