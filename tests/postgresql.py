@@ -56,6 +56,15 @@ class Server:
             shutil.chown(file, self._user, self._user)
         return file
 
+    def back_up(self) -> None:
+        """Keep its files as they are, while it is stopped."""
+        subprocess.run(["cp", "-a", self._folder / "data", self._folder / "kept"], check=True)
+
+    def restore(self) -> None:
+        """Put the files in place that were kept, while it is stopped."""
+        shutil.rmtree(self._folder / "data")
+        (self._folder / "kept").rename(self._folder / "data")
+
     def start(self) -> None:
         """Start it, and wait until it answers."""
         self._run("pg_ctl", "-w", "-l", str(self._folder / "log"), "start")

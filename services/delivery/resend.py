@@ -19,7 +19,6 @@ class ResendBuffer:
     def __init__(self, k: int) -> None:
         self.k = k  # acknowledged up to, not including, this dwell
         self._sent: dict[int, list[Message]] = {}
-        self._epoch = 0
         self._asked: Checkpoint | None = None
         self._has_waited = False  # ... while there was something to handle first,
         self._is_asked_again = False  # ... and then again
@@ -32,11 +31,7 @@ class ResendBuffer:
         return messages
 
     def acknowledge(self, checkpoint: Checkpoint) -> None:
-        """Drop what is acknowledged, and note what the recorder wants again.
-
-        A lower k is of an older journal that was put in place, and the run goes on, as it does in real time. Of the
-        same epoch it is an older checkpoint that came late.
-        """
+        """Drop what is acknowledged, and note what the recorder wants again."""
         if checkpoint.resend:
             is_same = self._asked is not None and self._asked.k == checkpoint.k
             self._is_asked_again = is_same and self._has_waited
@@ -44,8 +39,7 @@ class ResendBuffer:
             self._asked = checkpoint
         elif checkpoint.k > self.k:
             self._asked = None
-        self.k = max(self.k, checkpoint.k) if checkpoint.epoch == self._epoch else checkpoint.k
-        self._epoch = checkpoint.epoch
+        self.k = checkpoint.k
         self._sent = {dwell: messages for dwell, messages in self._sent.items() if dwell >= self.k}
 
     @property

@@ -57,7 +57,7 @@ def led_by(journal: Journal, answers: Sequence[Message]) -> Sequence[Message]:
 
 
 def revised(journal: Journal, run: RecordedRun) -> RecordedRun:
-    """The run with its revisions, before it goes on; a recorder without room for a while begins again in its epoch."""
+    """The run with its revisions, before it goes on."""
     name = run.start.run
     run.n_command, *_ = journal.commands(name, "")
     run.opened = journal.opened.setdefault(name, run.revision)

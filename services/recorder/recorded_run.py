@@ -80,7 +80,7 @@ class RecordedRun:
         self.acknowledged = (k, t)  # ... and as of the last checkpoint
         self.n_message = 0  # of these dwells, in the journal
         self.n_command = 0  # number of the last one in the journal
-        self.opened = 0  # revision with which the epoch of its recorder began
+        self.opened = 0  # revision when the epoch of its recorder began; 0: it began later
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell

@@ -47,6 +47,7 @@ class _Lead:
 
     epoch: int
     revision: int = 0  # the highest one that reached this process, directly or by what others made of it
+    told: int = 0  # the highest one that its checkpoints said here
     opened: int | None = None  # revision with which the recorder began to lead; None: only its epoch was heard
     is_in_lockstep: bool = False
 
@@ -84,17 +85,23 @@ class Epochs:
         lead = self._heard_of(message.run, epoch)
         if epoch < lead.epoch:
             return f"{message.run}: of epoch {epoch}, another recorder of epoch {lead.epoch} leads it"
+        if epoch > lead.epoch and lead.is_in_lockstep and not isinstance(message, Checkpoint):
+            return _unheard(message.run, epoch)
         if epoch > lead.epoch:
             lead = self._leads[message.run] = _Lead(epoch, is_in_lockstep=lead.is_in_lockstep)
-        if isinstance(message, Checkpoint):
-            lead.opened, lead.is_in_lockstep = message.opened, not message.rate_hz
-            lead.revision = max(lead.revision, message.revision)
+        return self._fault_of_checkpoint(lead, message) if isinstance(message, Checkpoint) else ""
+
+    def _fault_of_checkpoint(self, lead: _Lead, checkpoint: Checkpoint) -> str:
+        lead.opened, lead.is_in_lockstep = checkpoint.opened, not checkpoint.rate_hz
+        if checkpoint.revision < lead.told and lead.is_in_lockstep and not checkpoint.ended:
+            return f"{checkpoint.run}: it comes late, of revision {checkpoint.revision}; {lead.told} was told"
+        lead.told, lead.revision = checkpoint.revision, max(lead.revision, checkpoint.revision)
         return ""
 
     def _fault_of(self, run: str, stamp: Stamp) -> str:
         lead = self._heard_of(run, stamp.epoch)
         if stamp.epoch > lead.epoch:
-            return f"{run}: made under epoch {stamp.epoch}, of which its recorder has said nothing here yet"
+            return _unheard(run, stamp.epoch)
         if stamp.epoch < lead.epoch and (lead.opened is None or stamp.revision > lead.opened):
             return (
                 f"{run}: made under epoch {stamp.epoch} of revision {stamp.revision} of its journal, which has been put"
@@ -110,3 +117,7 @@ class Epochs:
             del self._leads[next(iter(self._leads))]  # heard of longest ago
         self._leads[run] = lead
         return lead
+
+
+def _unheard(run: str, epoch: int) -> str:
+    return f"{run}: of epoch {epoch}, whose recorder has not said here how far its journal is"

@@ -332,7 +332,9 @@ class Listener:
                 found = self._arrivals.get(left)
             except Empty:
                 break
-            if messages := self._inbox.open(found.key, found.payload):
+            messages = self._inbox.open(found.key, found.payload)
+            self._inbox.void.clear()  # it has no core
+            if messages:
                 return messages
         return []
 

@@ -131,11 +131,11 @@ class Database:
         """Take the lead of all runs, in the transaction that `commit` ends: a recorder that led before commits nothing
         any more. Raises Deposed if one that began later leads already.
 
-        The epoch is above all in the store. It is a moment besides, so that an older copy, which does not
-        know the last ones, hands out a higher one, too.
+        The epoch is above all in the store, and above its own before: what was written since may be lost. It is a
+        moment besides, so that an older copy, which does not know the last ones, hands out a higher one, too.
         """
         self._begin(self._connection.begin_to_lead)
-        self.epoch = self.epoch or max(self._newest().epoch + 1, self._now_us())
+        self.epoch, self.opened = max(self._newest().epoch + 1, self.epoch + 1, self._now_us()), {}
         row = sealed("leader", {"epoch": self.epoch, "name": self._owner})
         self._execute("INSERT INTO leader VALUES (?, ?, ?) ON CONFLICT DO NOTHING", tuple(row.values()))
         last = "SELECT epoch FROM leader ORDER BY epoch DESC LIMIT ?"

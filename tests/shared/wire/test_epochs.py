@@ -115,6 +115,24 @@ def test_a_process_that_was_told_more_than_the_journal_has_is_void(checkpoint: C
     assert heard(told(5, 12)).voids(checkpoint) is is_void
 
 
+def test_in_lockstep_an_older_checkpoint_of_the_epoch_is_dropped() -> None:
+    """It comes late, and says less. The end of a run is heeded whatever it says."""
+    assert heard(told(5, 12)).fault(told(5, 11)).endswith("it comes late, of revision 11; 12 was told")
+    assert not heard(told(5, 12)).fault(told(5, 12))
+    assert not heard(told(5, 12)).fault(told(5, 0).model_copy(update={"ended": True}))
+    assert not heard(told(5, 12, rate_hz=10.0)).fault(told(5, 11, rate_hz=10.0))
+
+
+def test_in_lockstep_a_recorder_is_heard_by_its_checkpoints_first() -> None:
+    """What a history tells of is more than the process knows of the recorder's journal."""
+    epochs = heard(told(5, 30))
+    assert epochs.fault(sample(History, epoch=6))
+    assert epochs.voids(told(6, 20, opened=20))
+    assert not epochs.fault(told(6, 20, opened=20))
+    assert not epochs.fault(sample(History, epoch=6))
+    assert not heard(told(5, 30, rate_hz=10.0)).fault(sample(History, epoch=6))
+
+
 def test_a_rewind_comes_before_the_checkpoint_that_says_so() -> None:
     network = LocalNetwork()
     bus = network.endpoint(Role.ALLOCATOR, "allocator")
