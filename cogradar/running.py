@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.analysis.arrays.result import Result
-from cogradar.services.errors import BadInput
+from cogradar.services.errors import BadInput, with_interrupts_after
 from cogradar.services.runs.run import as_played, ending, strategy_of
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import Refused, RunStart
@@ -72,7 +72,8 @@ class Player:
         self._file, self._last = store, None
         self._store = in_memory() if store is None else Store(Journal(str(store), owner="cogradar.run"))
         try:
-            kernels.compile_all(log.warning)
+            with with_interrupts_after() as stop:
+                kernels.compile_all(log.warning, stop)
             self._steps = in_process.steps(start, planners=planners, store=self._store, front_end=front_end)
         except BaseException:
             self._store.close()
@@ -94,7 +95,8 @@ class Player:
             self._check(waveform)
         hold(self._own)
         try:
-            self._last = self._steps.send(waveform)
+            with with_interrupts_after():
+                self._last = self._steps.send(waveform)
         except BaseException:
             self.close()
             raise

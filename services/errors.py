@@ -3,7 +3,10 @@
 Below everything else in services. The text of a failure is for the user: what happened, and what would do.
 """
 
+import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 BY_USER = "by user"  # reason of a run that was stopped,
@@ -97,6 +100,42 @@ class Interrupted(Failure):
     """The user or the system asked for a stop; the exit code is that of SIGINT, of another signal 128 + its number."""
 
     exit_code = 130
+
+
+class SignalEvent(threading.Event):
+    """May be set by a signal's handler, which runs in the main thread, also where that waits for it with its lock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._cond = threading.Condition(threading.RLock())
+
+
+@contextmanager
+def with_interrupts_after() -> Iterator[threading.Event]:
+    """Let a Ctrl-C wait until this is over: within compiled code it would end the interpreter, or be lost.
+
+    A second one does not wait, nor does any where a program handles the signal itself. The event is set meanwhile.
+    """
+    stop = SignalEvent()
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield stop
+        return
+    came = list[int]()
+
+    def note(number: int, _frame: object) -> None:
+        came.append(number)
+        if len(came) > 1:
+            raise KeyboardInterrupt
+        stop.set()
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if came:
+            raise KeyboardInterrupt
 
 
 def check_stop(stop: threading.Event | None, hint: str = "") -> None:

@@ -8,7 +8,6 @@ import os
 import signal
 import sys
 import textwrap
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from rich.text import Text
 
 from cogradar.services.certs import endpoints as written
 from cogradar.services.cli import completion
-from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
+from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed, SignalEvent
 from cogradar.services.recorder.store.address import SHORT, unsaid
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.scenario.faults import allowed, printable, printable_lines
@@ -184,7 +183,7 @@ LINE_S = 30.0  # between two lines of progress, where there is no terminal
 _WORDS: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}  # of a line
 
 
-class Stop(threading.Event):
+class Stop(SignalEvent):
     """Set by SIGINT or SIGTERM; remembers which."""
 
     exit_code = Interrupted.exit_code
@@ -192,8 +191,6 @@ class Stop(threading.Event):
 
     def __init__(self) -> None:
         super().__init__()
-        # A signal's handler runs in the main thread, also where that waits for this event and holds its lock.
-        self._cond = threading.Condition(threading.RLock())
         self._before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def forget(self) -> None:
@@ -221,6 +218,10 @@ def command(*, at_once: bool = False, zenoh_config: str | None = None) -> Iterat
             yield stop
     except (Interrupted, KeyboardInterrupt) as error:
         _end(error if isinstance(error, Interrupted) else Interrupted("interrupted"), stop.exit_code)
+    except SystemError:  # what compiled code makes of the interrupt
+        if not stop.is_set():
+            raise
+        _end(Interrupted("interrupted"), stop.exit_code)
     except Failure as error:
         _end(error, error.exit_code)
     except (ScenarioError, PluginError) as error:

@@ -275,7 +275,7 @@ def _journal(store: str | None) -> "Journal":
     from cogradar.services.recorder.journal import Journal
     from cogradar.services.recorder.store.tables import MEMORY
 
-    return Journal(store or MEMORY, owner="cogradar run")
+    return Journal(MEMORY if store is None else store, owner="cogradar run")
 
 
 def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:

@@ -272,14 +272,14 @@ class RecorderCore:
         try:
             order, replaced = run.grant(command, last + 1)
         except Refused as refusal:
-            log.warning("%s: %s, by %s, is refused: %s", command.run, command.action.kind, command.by, refusal)
+            log.warning("%s: %s, by %s, is refused: %s", command.run, text_of(command.action), command.by, refusal)
             if count >= MAX_COMMANDS - FOR_END - URGENT_COMMANDS:
                 raise  # what is kept free is for what is granted
             self._journal.add_command(command, last + 1, None, str(refusal))
             self._journal.commit()
             run.n_command = last + 1
             return answers
-        log.info("%s: %r by %s from dwell %d on", command.run, command.action, command.by, order.k)
+        log.info("%s: %s, by %s, from dwell %d on", command.run, text_of(command.action), command.by, order.k)
         self._journal.add_command(command, order.n, order.k, "")
         for other in replaced:
             self._journal.end_order(command.run, other.n, other.k)

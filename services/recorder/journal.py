@@ -149,7 +149,8 @@ class Journal(Database):
             return
         query = (
             "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, place DESC) AS nth"
-            " FROM run WHERE status IN ('complete', 'failed')) AS ended WHERE ended_s <= ? AND (nth > ? OR ended_s < ?)"
+            " FROM run WHERE status IN ('complete', 'stopped', 'failed')) AS ended"
+            " WHERE ended_s <= ? AND (nth > ? OR ended_s < ?)"
         )
         now, runs = int(time.time()), math.inf if keep.runs is None else keep.runs
         seconds = math.inf if keep.days is None else keep.days * 86400.0

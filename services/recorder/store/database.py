@@ -81,6 +81,8 @@ class Connection(Protocol):
 
 
 def _connect(name: str, owner: str, *, read_only: bool) -> Connection:
+    if not name:
+        raise BadInput("the store has no name: name a file, such as build/runs.db")
     if not is_server(name):
         return SqliteConnection(name, owner, read_only=read_only)
     try:

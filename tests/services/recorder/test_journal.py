@@ -236,7 +236,7 @@ def _end(core: RecorderCore, run: str, dwells: int = 3) -> None:
     core.handle(smoke_start(run=run))
     for k in range(dwells):
         core._journal.add_message(run, k, "truth", 0, b"x" * 5000)
-    core.handle(RunEnd(run=run, k=0, t=0, status="failed", reason="x"))
+    core.handle(RunEnd(run=run, k=0, t=0, status="stopped" if run in "ac" else "failed", reason="x"))
 
 
 def _runs(journal: Journal) -> tuple[list[str], list[str]]:
@@ -369,3 +369,8 @@ def test_an_endless_question_about_a_run_is_damage_of_that_run(tmp_path: Path) -
         connection.db.set_progress_handler(None, 0)
         assert caught.value.run == "old"
         journal.rollback()
+
+
+def test_a_store_without_a_name_is_refused() -> None:
+    with pytest.raises(BadInput, match="the store has no name: name a file"):
+        Journal("")
