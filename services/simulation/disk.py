@@ -41,7 +41,7 @@ class Disk:
         self._journal: SimulatedJournal | None = None
         # Of recorders that were frozen, and have a successor on the same file.
         self._left: dict[str, SimulatedJournal] = {}
-        self.opened = 0
+        self.opened = self.leads = 0  # how often
         self.after_commit: Callable[[], None] = lambda: None
         self._backup: Path | None = None
         self.writes_left = 0  # until one is an I/O error; 0: none is
@@ -229,7 +229,8 @@ class SimulatedJournal(Journal):
             self._connection.lose_lock()
 
     def _now_us(self) -> int:
-        return self._disk.opened
+        self._disk.leads += 1  # no clock tells two recorders one moment
+        return self._disk.leads
 
     def discard(self) -> None:
         """Close it as it is."""
