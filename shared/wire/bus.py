@@ -57,7 +57,7 @@ class Inbox:
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
         self.bad_of_topic: Counter[str] = Counter()
         self.epochs = Epochs()
-        self.void: set[str] = set()  # runs of which all that was heard before is void; whoever told the core drops them
+        self.void: set[str] = set()  # runs that the core must forget first: `Rewind`
 
     def open(self, key: str, payload: bytes, stamp: bytes | None = None) -> list[Message]:
         """Messages of a payload that came on `key`: none if it is bad, several if they travelled together.

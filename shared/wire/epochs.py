@@ -3,7 +3,7 @@
 A recorder that was deposed, frozen or cut off, may acknowledge what the journal of its successor does not have: its
 word is not heeded. An older journal that was put in place lacks dwells and orders that processes were told of. What
 they made since then goes on to be sent, and would be taken for what is made anew. So in lockstep each message has a
-stamp beside its bytes: the epoch of which its sender has heard, and the revision of the journal that it may be made of.
+stamp beside its bytes: the epoch that its sender has heard, and the revision of the journal that it may be made of.
 In real time no dwell is repeated, and nothing has one.
 """
 
