@@ -71,17 +71,20 @@ def test_what_is_made_of_a_journal_that_is_no_more_is_dropped(connect: Connect) 
     def event_of(bus: ZenohBus) -> Event | None:
         until = time.monotonic() + 10.0
         while time.monotonic() < until:
-            if isinstance(event := bus.receive(0.1), Message | Rewind):
+            event = bus.receive(0.1)
+            if isinstance(event, Message | Rewind) and event != before:
                 return event
         return None
 
     first, second = connect(Role.RECORDER, "one"), connect(Role.RECORDER, "two")
     emulator, planner = connect(Role.EMULATOR, "e"), connect(Role.PLANNER, "p")
     before, after = (sample(Checkpoint, epoch=e, revision=r, opened=r, rate_hz=0.0) for e, r in ((5, 12), (6, 11)))
-    first.publish(before)
-    assert event_of(planner) == before
+    deaf = [second, planner]
+    while deaf:  # what is sent before the router knows of a reader never comes
+        first.publish(before)
+        deaf = [reader for reader in deaf if reader.receive(0.1) != before]
     planner.publish(plan())
-    assert {event_of(second), event_of(second)} == {before, plan()}
+    assert event_of(second) == plan()
     emulator.publish(sample(Scan))  # it has heard no checkpoint: no stamp
     assert event_of(planner) == sample(Scan)
     second.publish(after)
