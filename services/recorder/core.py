@@ -57,10 +57,9 @@ def led_by(journal: Journal, answers: Sequence[Message]) -> Sequence[Message]:
 
 
 def revised(journal: Journal, run: RecordedRun) -> RecordedRun:
-    """The run with its revisions, before it goes on."""
-    name = run.start.run
-    run.n_command, *_ = journal.commands(name, "")
-    run.opened = journal.opened.setdefault(name, run.revision)
+    """The run with its revision, and those with which the last epochs began, before it goes on."""
+    run.n_command, *_ = journal.commands(run.start.run, "")
+    run.leads = journal.leads(run.start.run, run.revision)
     return run
 
 
@@ -171,7 +170,7 @@ class RecorderCore:
             log.info("going on with %s from dwell %d", name, self._runs[name].k)
 
     def _set_aside(self, name: str, reason: str) -> None:
-        for known in (self._runs, self._spans, self._journal.opened):
+        for known in (self._runs, self._spans):
             known.pop(name, None)
         self._journal.quarantine(name, reason)
         log.error("%s cannot go on and is set aside: %s", name, reason)
@@ -188,7 +187,7 @@ class RecorderCore:
             raise Unreadable("no such run")
         row = check_row(self._journal, name)
         k, t = row["acknowledged_k"], row["acknowledged_t"]
-        run = revised(self._journal, RecordedRun(start, k, t, self._journal.orders(name), resumed=True))
+        run = self._lead(RecordedRun(start, k, t, self._journal.orders(name), resumed=True))
         run.n_message = row["messages"]
         for target in self._journal.snapshot_ks(name):
             self._journal.snapshot(name, target, 0)  # if it cannot be read, the next one cannot replace it
@@ -202,6 +201,11 @@ class RecorderCore:
             run.complete()
         return run
 
+    def _lead(self, run: RecordedRun) -> RecordedRun:
+        """The run, which this recorder leads from now on."""
+        self._journal.set_leads(run.start.run, revised(self._journal, run).leads)
+        return run
+
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
             known = self._start_of(start.run)
@@ -212,9 +216,8 @@ class RecorderCore:
             return () if start.run in self._runs else self._repeat_end(start.run)
         if len(self._runs) >= MAX_RUNS:
             raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
-        run = self._runs[start.run] = RecordedRun(start)
-        self._journal.opened[start.run] = run.opened
         self._journal.add_run(start)
+        run = self._runs[start.run] = self._lead(RecordedRun(start))
         self._spans[start.run] = KeptSpan.of(start, self._retention)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
 
@@ -365,7 +368,6 @@ class RecorderCore:
             self._journal.acknowledge(run.start.run, run.k, run.t, run.n_message)
             self._journal.end_run(end, digest)
         del self._runs[run.start.run], self._spans[run.start.run]
-        self._journal.opened.pop(run.start.run, None)
         others = self._commit()
         run.acknowledged = run.k, run.t
         return [*others, *run.checkpoint(ended=True)]

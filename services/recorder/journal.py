@@ -27,7 +27,7 @@ from cogradar.services.recorder.store.seal import (
     verify,
 )
 from cogradar.services.recorder.store.tables import Recording
-from cogradar.shared.protocol.messages import Command, RunEnd, RunStart
+from cogradar.shared.protocol.messages import MAX_LEADS, Command, Lead, RunEnd, RunStart
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.trajectories.rows import Rows
@@ -54,7 +54,8 @@ class Retention:
     grace_s: int = 60  # any ended run is kept so long, for its client to see its end
 
 
-_NEW: dict[str, Any] = dict.fromkeys(SEALED["run"]) | {"status": "running", "reason": ""}  # a run that begins
+_NEW: dict[str, Any] = dict.fromkeys(SEALED["run"])  # a run that begins
+_NEW |= {"status": "running", "reason": "", "leads": "[]"}
 _NEW |= dict.fromkeys(("acknowledged_k", "acknowledged_t", "kept_k", "conflicts", "messages", "commands"), 0)
 
 
@@ -141,7 +142,7 @@ class Journal(Database):
         """Record how a run ended; its tracks will not be needed any more."""
         self.write("DELETE FROM snapshot WHERE run = ?", end.run)
         self._running.pop(end.run, None)  # it is read once more, and verified
-        self._change(end.run, status=end.status, reason=end.reason, digest=digest, ended_s=int(time.time()))
+        self._change(end.run, status=end.status, reason=end.reason, digest=digest, ended_s=int(time.time()), leads="[]")
 
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
@@ -230,6 +231,25 @@ class Journal(Database):
     def hinder(self, run: str, reason: str) -> None:
         """Say what a run that goes on is hindered by."""
         self._change(run, reason=reason)
+
+    def leads(self, run: str, revision: int) -> list[Lead]:
+        """The last epochs of a run, and the revision with which each began; of this recorder's own the present one,
+        unless it leads the run already. Of what was told before the first of them nothing is known. Raises Unreadable.
+        """
+        row = self._row(run)
+        try:
+            known = [Lead(epoch=epoch, revision=told) for epoch, told in json.loads(row["leads"])] if row else []
+        except (ValueError, TypeError) as error:
+            raise Unreadable(" ".join(str(error).split())[:300]) from None
+        if not known or known[-1].epoch != self.epoch:
+            known.append(Lead(epoch=self.epoch, revision=revision))
+        if len(known) > MAX_LEADS:
+            known = [known[-MAX_LEADS].model_copy(update={"revision": 0}), *known[1 - MAX_LEADS :]]
+        return known
+
+    def set_leads(self, run: str, leads: Sequence[Lead]) -> None:
+        """Record the last epochs of a run. Raises Damaged."""
+        self._change(run, leads=json.dumps([(lead.epoch, lead.revision) for lead in leads]))
 
     def add_conflict(self, run: str) -> None:
         """Count a message that differs from the one that came first."""

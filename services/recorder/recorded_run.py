@@ -17,6 +17,7 @@ from cogradar.shared.protocol.messages import (
     Checkpoint,
     Command,
     EmulatorCheckpoint,
+    Lead,
     Plan,
     Refused,
     RunEnd,
@@ -80,7 +81,7 @@ class RecordedRun:
         self.acknowledged = (k, t)  # ... and as of the last checkpoint
         self.n_message = 0  # of these dwells, in the journal
         self.n_command = 0  # number of the last one in the journal
-        self.opened = 0  # revision when the epoch of its recorder began; 0: it began later
+        self.leads: list[Lead] = []  # of the last epochs, with the one of its recorder
         self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
         self.born_ks: Mapping[int, int] = {}  # ... when they began,
         self.known_k = -1  # ... and its dwell
@@ -327,7 +328,7 @@ class RecordedRun:
         k, t = self.acknowledged
         now = {"k": k, "t": t, "resend": resend, "ended": ended, "held": held, "overdue": list(self._overdue)}
         now |= {"orders": list(self.orders.orders), "lacking": self._lacking() if resend else None}
-        now |= {"revision": self.revision, "opened": self.opened}
+        now |= {"revision": self.revision, "leads": self.leads}
         self._overdue = ()
         if resend:
             self._timer.ask()

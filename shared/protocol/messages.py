@@ -59,6 +59,7 @@ from cogradar.shared.signal.array import in_plane
 
 SCHEMA = 2
 MAX_FAULT = 200  # characters
+MAX_LEADS = 8  # epochs of a run that its checkpoints say
 ABSENT = -1  # bin of a target that is not there
 Parts = dict[str, tuple[str, ...]]
 
@@ -124,6 +125,16 @@ class Command(Message):
     at: Index = 0  # not before this dwell
 
 
+class Lead(Compared):
+    """A recorder that led a run: its epoch, and the run's revision in the journal when it began."""
+
+    epoch: Epoch
+    revision: Revision
+
+
+Leads = Annotated[list[Lead], Field(max_length=MAX_LEADS)]
+
+
 class Checkpoint(_Settings):
     """How far a run is in the journal: recorder -> planners, allocator, metrics, operator.
 
@@ -146,7 +157,7 @@ class Checkpoint(_Settings):
     orders: Orders = Field(default_factory=list)  # in force, or that will be; nothing else is
     epoch: Epoch = 0  # of the recorder that says it; dropped after a higher one of this run
     revision: Revision = 0  # of the run in the journal: dwells acknowledged, and commands; what this tells of
-    opened: Revision = 0  # ... and the one with which this epoch began: what was made of more, before it, is void
+    leads: Leads = Field(default_factory=list)  # the last ones: what was made of more, before one of them, is void
 
 
 class EmulatorCheckpoint(Checkpoint):

@@ -8,11 +8,12 @@ In real time no dwell is repeated, and nothing has one.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 from cogradar.shared.protocol.fields import MAX_EPOCH
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, RunCancel, RunStart
+from cogradar.shared.protocol.messages import Checkpoint, Command, Lead, Message, RunCancel, RunStart
 from cogradar.shared.wire.codec import BadMessage
 
 MAX_RUNS_HEARD = 8192  # whose epochs are kept
@@ -42,13 +43,13 @@ class Stamp(NamedTuple):
 
 
 @dataclass
-class _Lead:
+class _Heard:
     """What was heard of a run's recorder."""
 
     epoch: int
     revision: int = 0  # the highest one that reached this process, directly or by what others made of it
     told: int = 0  # the highest one that its checkpoints said here
-    opened: int | None = None  # revision with which the recorder began to lead; None: only its epoch was heard
+    leads: Sequence[Lead] | None = None  # its own and those before it; None: only its epoch was heard
     is_in_lockstep: bool = False
 
 
@@ -56,23 +57,23 @@ class Epochs:
     """The highest epoch of each run, and what must not be heeded because of it."""
 
     def __init__(self) -> None:
-        self._leads: dict[str, _Lead] = {}
+        self._heard: dict[str, _Heard] = {}
 
     def say(self, message: Message) -> Stamp | None:
         """Note a message that this process sends; its stamp, if it has one."""
         if (epoch := vars(message).get("epoch")) is not None:
             self._fault_of_recorder(message, epoch)
             return None
-        lead = self._leads.get(message.run)
-        is_stamped = lead is not None and lead.is_in_lockstep and not isinstance(message, _ASKED)
-        return Stamp(lead.epoch, lead.revision) if lead is not None and is_stamped else None
+        heard = self._heard.get(message.run)
+        is_stamped = heard is not None and heard.is_in_lockstep and not isinstance(message, _ASKED)
+        return Stamp(heard.epoch, heard.revision) if heard is not None and is_stamped else None
 
     def voids(self, message: Message) -> bool:
         """Whether a message says that what this process knows of its run is made of more than the journal has."""
-        lead = self._leads.get(message.run)
-        if not isinstance(message, Checkpoint) or message.rate_hz or lead is None or message.epoch <= lead.epoch:
+        heard = self._heard.get(message.run)
+        if not isinstance(message, Checkpoint) or message.rate_hz or heard is None or message.epoch <= heard.epoch:
             return False
-        return lead.revision > message.opened
+        return heard.revision > _kept(message.leads, heard.epoch)
 
     def fault(self, message: Message, stamp: Stamp | None = None) -> str:
         """Why a message must be dropped; "": it may be heeded, and is from now on."""
@@ -82,41 +83,47 @@ class Epochs:
         return "" if stamp is None else self._fault_of(message.run, stamp)
 
     def _fault_of_recorder(self, message: Message, epoch: int) -> str:
-        lead = self._heard_of(message.run, epoch)
-        if epoch < lead.epoch:
-            return f"{message.run}: of epoch {epoch}, another recorder of epoch {lead.epoch} leads it"
-        if epoch > lead.epoch and lead.is_in_lockstep and not isinstance(message, Checkpoint):
+        heard = self._heard_of(message.run, epoch)
+        if epoch < heard.epoch:
+            return f"{message.run}: of epoch {epoch}, another recorder of epoch {heard.epoch} leads it"
+        if epoch > heard.epoch and heard.is_in_lockstep and not isinstance(message, Checkpoint):
             return _unheard(message.run, epoch)
-        if epoch > lead.epoch:
-            lead = self._leads[message.run] = _Lead(epoch, is_in_lockstep=lead.is_in_lockstep)
-        return self._fault_of_checkpoint(lead, message) if isinstance(message, Checkpoint) else ""
+        if epoch > heard.epoch:
+            heard = self._heard[message.run] = _Heard(epoch, is_in_lockstep=heard.is_in_lockstep)
+        return self._fault_of_checkpoint(heard, message) if isinstance(message, Checkpoint) else ""
 
-    def _fault_of_checkpoint(self, lead: _Lead, checkpoint: Checkpoint) -> str:
-        lead.opened, lead.is_in_lockstep = checkpoint.opened, not checkpoint.rate_hz
-        if checkpoint.revision < lead.told and lead.is_in_lockstep and not checkpoint.ended:
-            return f"{checkpoint.run}: it comes late, of revision {checkpoint.revision}; {lead.told} was told"
-        lead.told, lead.revision = checkpoint.revision, max(lead.revision, checkpoint.revision)
+    def _fault_of_checkpoint(self, heard: _Heard, checkpoint: Checkpoint) -> str:
+        heard.leads, heard.is_in_lockstep = checkpoint.leads, not checkpoint.rate_hz
+        if checkpoint.revision < heard.told and heard.is_in_lockstep and not checkpoint.ended:
+            return f"{checkpoint.run}: it comes late, of revision {checkpoint.revision}; {heard.told} was told"
+        heard.told, heard.revision = checkpoint.revision, max(heard.revision, checkpoint.revision)
         return ""
 
     def _fault_of(self, run: str, stamp: Stamp) -> str:
-        lead = self._heard_of(run, stamp.epoch)
-        if stamp.epoch > lead.epoch:
+        heard = self._heard_of(run, stamp.epoch)
+        if stamp.epoch > heard.epoch:
             return _unheard(run, stamp.epoch)
-        if stamp.epoch < lead.epoch and (lead.opened is None or stamp.revision > lead.opened):
+        kept = 0 if heard.leads is None else _kept(heard.leads, stamp.epoch)
+        if stamp.epoch < heard.epoch and (heard.leads is None or stamp.revision > kept):
             return (
                 f"{run}: made under epoch {stamp.epoch} of revision {stamp.revision} of its journal, which has been put"
-                f" back to {lead.opened}"
+                f" back to {kept}"
             )
-        lead.revision = max(lead.revision, stamp.revision)
+        heard.revision = max(heard.revision, stamp.revision)
         return ""
 
-    def _heard_of(self, run: str, epoch: int) -> _Lead:
+    def _heard_of(self, run: str, epoch: int) -> _Heard:
         """What was heard of a run, which is the last to be forgotten now."""
-        lead = self._leads.pop(run, None) or _Lead(epoch)
-        if len(self._leads) >= MAX_RUNS_HEARD:
-            del self._leads[next(iter(self._leads))]  # heard of longest ago
-        self._leads[run] = lead
-        return lead
+        heard = self._heard.pop(run, None) or _Heard(epoch)
+        if len(self._heard) >= MAX_RUNS_HEARD:
+            del self._heard[next(iter(self._heard))]  # heard of longest ago
+        self._heard[run] = heard
+        return heard
+
+
+def _kept(leads: Sequence[Lead], epoch: int) -> int:
+    """Up to which revision the journal has what was told in an epoch, by the recorders that led the run after it."""
+    return min((lead.revision for lead in leads if lead.epoch > epoch), default=MAX_EPOCH)
 
 
 def _unheard(run: str, epoch: int) -> str:

@@ -14,6 +14,7 @@ from cogradar.shared.protocol.messages import (
     Checkpoint,
     Command,
     EmulatorCheckpoint,
+    Lead,
     Message,
     Plan,
     RunEnd,
@@ -131,6 +132,7 @@ FULL = {
     "held": True,
     "overdue": EDGES[::-1],
     "orders": _orders(20),
+    "leads": [Lead(epoch=2**62 - n, revision=n) for n in (7, 0)],
     "epoch": 2**62,
     "seed": 2**63 - 1,
 }

@@ -112,7 +112,6 @@ class Database:
         self.commits = Durations()
         self._newest_row: tuple[Any, ...] = ()  # of the leaders, as it was verified: it is read with each transaction
         self.epoch = 0  # of the recorder that leads the runs of this store; 0: this process leads none
-        self.opened: dict[str, int] = {}  # revision of each run that goes on, when its epoch began
         self._is_closed = False
         self._connection = _connect(path, owner, read_only=read_only)
         self.path = self._connection.name
@@ -137,7 +136,7 @@ class Database:
         moment besides, so that an older copy, which does not know the last ones, hands out a higher one, too.
         """
         self._begin(self._connection.begin_to_lead)
-        self.epoch, self.opened = max(self._newest().epoch + 1, self.epoch + 1, self._now_us()), {}
+        self.epoch = max(self._newest().epoch + 1, self.epoch + 1, self._now_us())
         row = sealed("leader", {"epoch": self.epoch, "name": self._owner})
         self._execute("INSERT INTO leader VALUES (?, ?, ?) ON CONFLICT DO NOTHING", tuple(row.values()))
         last = "SELECT epoch FROM leader ORDER BY epoch DESC LIMIT ?"

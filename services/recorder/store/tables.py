@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
-SCHEMA_VERSION = 21
+SCHEMA_VERSION = 22
 MAX_COMMANDS = 10_000  # of a run; the order book says what may be the last ones
 MEMORY = ":memory:"
 KINDS = {"TEXT": "text", "INTEGER": "bigint", "REAL": "double precision", "BLOB": "bytea"}  # of SQLite, and here
@@ -49,6 +49,7 @@ CREATE TABLE run ( -- one row per run
     ended_s INTEGER, -- [s] when it ended, since 1970 in UTC
     messages INTEGER NOT NULL DEFAULT 0, -- [messages] of dwells k below acknowledged_k in the file
     commands INTEGER NOT NULL DEFAULT 0, -- [commands] to it in the file
+    leads TEXT NOT NULL DEFAULT '[]', -- [JSON] last epochs, and acknowledged_k plus n of the last command as each began
     scores_checksum INTEGER, -- CRC-32 of its rows of score and picture, null if none are kept
     document_checksum INTEGER NOT NULL, -- CRC-32 of its document
     checksum INTEGER NOT NULL -- CRC-32 of all of the row but its document

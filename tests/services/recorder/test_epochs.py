@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cogradar.services.errors import BadInput, Deposed, NoRoom
+from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.full_disk import LOOK_TICKS, Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.database import KEPT_LEADERS, Database
@@ -16,7 +17,7 @@ from cogradar.services.recorder.store.lock import JournalLock
 from cogradar.services.recorder.store.seal import sealed
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MAX_EPOCH
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message
+from cogradar.shared.protocol.messages import MAX_LEADS, Checkpoint, Command, Message
 from cogradar.shared.protocol.orders import PowerLimit
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from tests.services.loop import checkpoint, scans, smoke_start, waveforms
@@ -122,28 +123,57 @@ def test_all_that_a_recorder_says_has_its_epoch(sent: list[Message]) -> None:
     assert recorder._journal.epoch > 0
 
 
-def test_checkpoints_say_how_far_a_run_is_and_was_when_the_epoch_began(sent: list[Message]) -> None:
+def test_checkpoints_say_how_far_a_run_is_and_was_when_each_epoch_began(sent: list[Message]) -> None:
     """Dwells and commands. A recorder that had no room for a while has a new epoch: what comes back may be older."""
-    journal, said = Journal(":memory:"), dict[tuple[int, int, int], None]()  # in their order, each once
+    journal, said = Journal(":memory:"), dict[tuple[int, int, tuple[int, ...]], None]()  # in their order, each once
 
     def note(answers: object) -> None:
         assert isinstance(answers, list | tuple)
-        said.update({(one.k, one.revision, one.opened): None for one in answers if type(one) is Checkpoint})
+        told = [one for one in answers if type(one) is Checkpoint]
+        assert all(one.leads[-1].epoch == one.epoch == journal.epoch for one in told)
+        said.update({(one.k, one.revision, tuple(lead.revision for lead in one.leads)): None for one in told})
 
     first = Recorder(journal)
     for message in [smoke_start(dwells=300), *sent[1 : sent.index(waveforms(sent)[3]) + 1]]:
         note(first.handle(message))
     note([*first.handle(Tick(0.0)), *first.handle(Tick(0.25))])
     note(first.handle(Command(run="r", id="0" * 32, by="somebody", action=PowerLimit(share=0.5))))
-    assert [*said] == [(0, 0, 0), (4, 4, 0), (4, 5, 0)]
+    assert [*said] == [(0, 0, (0,)), (4, 4, (0,)), (4, 5, (0,))]
     said.clear()
     before = journal.epoch
     first._end(NoRoom("full"))
     note(first._held())
     first._begin()
     note(first.lead())
-    assert [*said] == [(4, 5, 0), (4, 5, 5)]
+    assert [*said] == [(4, 5, (0,)), (4, 5, (0, 5))]
     assert journal.epoch > before
+
+
+def test_the_last_epochs_of_a_run_are_kept_and_before_them_all_is_void(sent: list[Message]) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    for message in [smoke_start(dwells=300), *sent[1 : sent.index(waveforms(sent)[3]) + 1]]:
+        core.handle(message)
+    core.handle(Tick(0.0)), core.handle(Tick(0.25))
+    found = []
+    for _ in range(MAX_LEADS):
+        (told, *_) = RecorderCore(journal, resume=True).lead()
+        assert isinstance(told, Checkpoint)
+        assert told.leads[-1].epoch == journal.epoch
+        found.append([lead.revision for lead in told.leads])
+    assert found == [[0] + n * [4] for n in range(1, MAX_LEADS)] + [[0] + (MAX_LEADS - 1) * [4]]
+
+
+def test_what_is_no_list_of_epochs_sets_its_run_aside(recorder: Begin) -> None:
+    first = recorder()
+    first.handle(smoke_start())
+    first._journal._change("r", leads="[[1]]")
+    first.close()
+    second = recorder()
+    assert second.lead() == []
+    ((status, reason),) = second._journal.rows("SELECT status, reason FROM run")
+    assert status == "quarantined"
+    assert reason
 
 
 def test_each_recorder_has_a_higher_epoch_whatever_the_clock_says(

@@ -5,10 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from cogradar.services.delivery import pacing
 from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder import core
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.sqlite import SqliteConnection
 from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import Command, Plan
+from cogradar.shared.protocol.orders import PowerLimit
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 
@@ -81,3 +85,29 @@ def test_a_rewind_and_then_the_loss_of_everybody_else(undisturbed: Undisturbed) 
         network.start(name)
     assert play(network, {}) == undisturbed[0]
     assert network.scores() == undisturbed[1]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_who_was_away_while_a_recorder_began_twice_forgets_what_the_journal_lost(
+    seed: int, undisturbed: Undisturbed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The journal lost an order. When its second recorder begins it has more dwells than the planner was told of."""
+    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", 2)
+    monkeypatch.setattr(core, "CHECKPOINT_DWELLS", 1)
+    network = FaultyNetwork(START, 2, np.random.default_rng(seed))
+    _step_until(network, lambda: _acknowledged(network) >= 12)
+    copy = _copy(network)
+    network.publish("operator", Command(run=START.run, id="0f" * 16, by="operator", action=PowerLimit(share=0.3)))
+    network.processes.pop("operator")
+    _step_until(network, lambda: _acknowledged(network) >= 30)
+    of_planners = {name: one for name, one in network.processes.items() if name.startswith("planner")}
+    away, process = max(of_planners.items(), key=lambda one: sum(isinstance(sent, Plan) for sent in one[1].sent))
+    network.freeze(away)
+    for store, until in ((Store(copy), 40), (None, 44)):
+        network.kill("recorder-0")
+        network.store = store or network.store
+        network.start("recorder-0")
+        _step_until(network, lambda until=until: _acknowledged(network) >= until)  # type: ignore[misc]
+    process.queues.clear()  # nothing reached it
+    network.thaw(away)
+    assert play(network, {}) == undisturbed[0]

@@ -1,12 +1,13 @@
 """Epochs and stamps: who leads a run, and what was made of more than its journal has."""
 
 import logging
+from collections.abc import Sequence
 
 import pytest
 
 from cogradar.shared.protocol.events import Rewind
 from cogradar.shared.protocol.fields import MAX_EPOCH
-from cogradar.shared.protocol.messages import Checkpoint, Command, Message, Plan, RunCancel, RunStart, Scan
+from cogradar.shared.protocol.messages import Checkpoint, Command, Lead, Message, Plan, RunCancel, RunStart, Scan
 from cogradar.shared.protocol.recovery import History
 from cogradar.shared.protocol.topics import BY_MESSAGE, Role
 from cogradar.shared.wire.bus import LOCAL, Inbox, LocalNetwork
@@ -14,10 +15,13 @@ from cogradar.shared.wire.codec import BadMessage, encode
 from cogradar.shared.wire.epochs import MAX_RUNS_HEARD, Epochs, Stamp
 from tests.samples import sample
 
+Leads = Sequence[Lead]
 
-def told(epoch: int, revision: int, opened: int = 0, rate_hz: float = 0.0) -> Checkpoint:
-    """A checkpoint of a recorder."""
-    found = sample(Checkpoint, epoch=epoch, revision=revision, opened=opened, rate_hz=rate_hz)
+
+def told(epoch: int, revision: int, *, opened: int = 0, before: Leads = (), rate_hz: float = 0.0) -> Checkpoint:
+    """A checkpoint of a recorder, which began with revision `opened`, after others."""
+    leads = [*before, Lead(epoch=epoch, revision=opened)]
+    found = sample(Checkpoint, epoch=epoch, revision=revision, leads=leads, rate_hz=rate_hz)
     assert isinstance(found, Checkpoint)
     return found
 
@@ -113,6 +117,19 @@ def test_without_a_checkpoint_it_is_taken_of_one_epoch_only() -> None:
 )
 def test_a_process_that_was_told_more_than_the_journal_has_is_void(checkpoint: Checkpoint, is_void: bool) -> None:
     assert heard(told(5, 12)).voids(checkpoint) is is_void
+
+
+PUT_BACK = told(7, 20, opened=18, before=[Lead(epoch=5, revision=0), Lead(epoch=6, revision=8)])
+
+
+@pytest.mark.parametrize(
+    ("stamp", "is_heeded"),
+    [(Stamp(4, 1), False), (Stamp(5, 8), True), (Stamp(5, 9), False), (Stamp(6, 18), True), (Stamp(6, 19), False)],
+)
+def test_a_journal_that_was_put_back_before_its_last_recorder_began_is_noticed(stamp: Stamp, is_heeded: bool) -> None:
+    """It has more now than it was put back to. Who was away for both hears of both."""
+    assert (heard(PUT_BACK).fault(sample(Scan), stamp) == "") is is_heeded
+    assert heard(told(*stamp)).voids(PUT_BACK) is not is_heeded
 
 
 def test_in_lockstep_an_older_checkpoint_of_the_epoch_is_dropped() -> None:

@@ -9,7 +9,7 @@ import zenoh
 
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.events import Event, Rewind
-from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan
+from cogradar.shared.protocol.messages import Checkpoint, Lead, Message, Plan, RunStart, Scan
 from cogradar.shared.protocol.topics import BY_MESSAGE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
 from cogradar.shared.wire.bus import MAX_WAITING_BYTES
 from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode
@@ -78,7 +78,10 @@ def test_what_is_made_of_a_journal_that_is_no_more_is_dropped(connect: Connect) 
 
     first, second = connect(Role.RECORDER, "one"), connect(Role.RECORDER, "two")
     emulator, planner = connect(Role.EMULATOR, "e"), connect(Role.PLANNER, "p")
-    before, after = (sample(Checkpoint, epoch=e, revision=r, opened=r, rate_hz=0.0) for e, r in ((5, 12), (6, 11)))
+    before, after = (
+        sample(Checkpoint, epoch=e, revision=r, leads=[Lead(epoch=e, revision=r)], rate_hz=0.0)
+        for e, r in ((5, 12), (6, 11))
+    )
     deaf = [second, planner]
     while deaf:  # what is sent before the router knows of a reader never comes
         first.publish(before)
