@@ -187,7 +187,8 @@ class RecorderCore:
             raise Unreadable("no such run")
         row = check_row(self._journal, name)
         k, t = row["acknowledged_k"], row["acknowledged_t"]
-        run = self._lead(RecordedRun(start, k, t, self._journal.orders(name), resumed=True))
+        run = revised(self._journal, RecordedRun(start, k, t, self._journal.orders(name), resumed=True))
+        self._journal.set_leads(name, run.leads)
         run.n_message = row["messages"]
         for target in self._journal.snapshot_ks(name):
             self._journal.snapshot(name, target, 0)  # if it cannot be read, the next one cannot replace it
@@ -201,11 +202,6 @@ class RecorderCore:
             run.complete()
         return run
 
-    def _lead(self, run: RecordedRun) -> RecordedRun:
-        """The run, which this recorder leads from now on."""
-        self._journal.set_leads(run.start.run, revised(self._journal, run).leads)
-        return run
-
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
             known = self._start_of(start.run)
@@ -216,8 +212,10 @@ class RecorderCore:
             return () if start.run in self._runs else self._repeat_end(start.run)
         if len(self._runs) >= MAX_RUNS:
             raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
+        run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start)
-        run = self._runs[start.run] = self._lead(RecordedRun(start))
+        run.leads = self._journal.leads(start.run, run.revision)
+        self._journal.set_leads(start.run, run.leads)
         self._spans[start.run] = KeptSpan.of(start, self._retention)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
 

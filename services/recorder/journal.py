@@ -72,6 +72,11 @@ class Journal(Database):
         self._running: dict[str, dict[str, Any]] = {}  # rows of runs as this process verified or wrote them last
         self._stuck: set[str] = set()  # dropped runs whose messages cannot be deleted, as they are damaged
 
+    def lead(self) -> None:
+        """Take the lead of all runs, whose rows may be older than they were."""
+        self._running.clear()
+        super().lead()
+
     def rollback(self) -> None:
         """Undo what was written since the last commit."""
         self._running.clear()

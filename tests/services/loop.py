@@ -8,7 +8,16 @@ from cogradar.services.emulator.front_end import OpenFrontEnd
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
-from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    EmulatorCheckpoint,
+    Lead,
+    Message,
+    Plan,
+    RunStart,
+    Scan,
+    Waveform,
+)
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.topics import Role, topics_read_by
 from cogradar.shared.scenario.files import load
@@ -31,6 +40,7 @@ def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: int) -> Emulato
         "k": k,
         "t": t,
         "revision": k,
+        "leads": [Lead(epoch=flags["epoch"], revision=0)] if "epoch" in flags else [],
         **flags,
     }
     return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
