@@ -309,6 +309,13 @@ MUTANTS = (
         missed="it does harm only to a process that missed each checkpoint of what it passes on",
     ),
     Mutant(
+        "of the epochs of a run the present one alone is told",
+        JOURNAL,
+        "        if len(known) > MAX_LEADS:\n",
+        "        known = known[-1:]\n        if len(known) > MAX_LEADS:\n",
+        only=with_commands_and_a_journal_that_is_put_back,
+    ),
+    Mutant(
         "a recorder first says how far its runs are when it is asked",
         RECORDER,
         "led_by(self._journal, [answer for run in waiting for answer in run.checkpoint()])",
