@@ -314,6 +314,7 @@ MUTANTS = (
         "        if len(known) > MAX_LEADS:\n",
         "        known = known[-1:]\n        if len(known) > MAX_LEADS:\n",
         only=with_commands_and_a_journal_that_is_put_back,
+        missed="a process must be away while two recorders begin; tests/services/runs/test_rewind.py has such a run",
     ),
     Mutant(
         "a recorder first says how far its runs are when it is asked",

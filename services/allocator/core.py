@@ -25,7 +25,7 @@ from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
 # When an answer is due in real time, in periods: after its dwell's scan, or the first plan if that was missed; or after
 # the last waveform, the second one while no plan comes at all.
-AFTER_SCAN, AFTER_PLAN, AFTER_WAVEFORM, AFTER_COASTING = 0.8, 0.5, 1.5, 1.0
+AFTER_SCAN, AFTER_PLAN, AFTER_WAVEFORM, AFTER_COASTING = 0.85, 0.5, 1.5, 1.0
 log = logging.getLogger(__name__)
 
 

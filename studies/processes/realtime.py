@@ -155,7 +155,7 @@ class _Listening:
         self._plans = _Plans()
         session = open_session([launcher.endpoint], CONNECT_WITHIN_S, launcher.check)
         self._bus = ZenohBus(session, Role.ALLOCATOR, "bench")
-        self._thread = threading.Thread(target=serve, args=(self._plans, self._bus, self._stop))
+        self._thread = threading.Thread(target=lambda: serve(self._plans, self._bus, self._stop, self._bus.meter))
 
     def __enter__(self) -> _Plans:
         self._thread.start()

@@ -149,6 +149,22 @@ def test_checkpoints_say_how_far_a_run_is_and_was_when_each_epoch_began(sent: li
     assert journal.epoch > before
 
 
+def test_a_recorder_that_has_room_again_says_first_how_far_its_runs_are(sent: list[Message]) -> None:
+    """What comes back may be older. In real time no dwell is repeated, and nothing is said."""
+    recorder = Recorder(Journal(":memory:"))
+    for message in [smoke_start(dwells=300), *sent[1 : sent.index(waveforms(sent)[3]) + 1]]:
+        recorder.handle(message)
+    recorder.handle(smoke_start(run="by-the-clock").model_copy(update={"rate_hz": 10.0}))
+    assert not any(recorder.handle(Tick(0.25 * i)) for i in range(1))
+    before = recorder.epoch
+    recorder._end(NoRoom("full"))
+    said = [answer for i in range(LOOK_TICKS) for answer in recorder.handle(Tick(1.0 + 0.25 * i))]
+    assert {(type(one).__name__, one.run, one.epoch > before) for one in said if isinstance(one, Checkpoint)} == {
+        ("Checkpoint", "r", True),
+        ("EmulatorCheckpoint", "r", True),
+    }
+
+
 def test_the_last_epochs_of_a_run_are_kept_and_before_them_all_is_void(sent: list[Message]) -> None:
     journal = Journal(":memory:")
     core = RecorderCore(journal)
