@@ -18,7 +18,7 @@ from cogradar.services.recorder.store.seal import sealed
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.fields import MAX_EPOCH
 from cogradar.shared.protocol.messages import MAX_LEADS, Checkpoint, Command, Message
-from cogradar.shared.protocol.orders import PowerLimit
+from cogradar.shared.protocol.orders import DropTrack, PowerLimit
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from tests.services.loop import checkpoint, scans, smoke_start, waveforms
 from tests.services.stored import rows
@@ -139,13 +139,16 @@ def test_checkpoints_say_how_far_a_run_is_and_was_when_each_epoch_began(sent: li
     note([*first.handle(Tick(0.0)), *first.handle(Tick(0.25))])
     note(first.handle(Command(run="r", id="0" * 32, by="somebody", action=PowerLimit(share=0.5))))
     assert [*said] == [(0, 0, (0,)), (4, 4, (0,)), (4, 5, (0,))]
+    first.handle(Command(run="r", id="1" * 32, by="somebody", action=DropTrack(track=7)))  # refused: it counts, too
+    note([answer for i in range(8) for answer in first.handle(Tick(0.5 + 0.25 * i))])
+    assert [*said][3:] == [(4, 6, (0,))]
     said.clear()
     before = journal.epoch
     first._end(NoRoom("full"))
     note(first._held())
     first._begin()
     note(first.lead())
-    assert [*said] == [(4, 5, (0,)), (4, 5, (0, 5))]
+    assert [*said] == [(4, 6, (0,)), (4, 6, (0, 6))]
     assert journal.epoch > before
 
 
