@@ -26,6 +26,7 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
+    new_file,
     newest_instead,
     out,
     print_csv,
@@ -158,7 +159,10 @@ def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
 
 
 def export(
-    file: Annotated[str, typer.Option("--out", metavar="FILE", help="File to write; -: a table to standard output.")],
+    file: Annotated[
+        str,
+        typer.Option("--out", metavar="FILE", callback=new_file, help="File to write; -: a table to standard output."),
+    ],
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
@@ -344,7 +348,8 @@ def schema(
         ),
     ] = "asyncapi",
     file: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The file to write; printed if left out.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", callback=new_file, help="The file to write; printed if left out."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:

@@ -28,6 +28,7 @@ from cogradar.services.cli.console import (
     call,
     command,
     endpoints,
+    new_file,
     number_of_dwells,
     out,
     print_json,
@@ -225,7 +226,8 @@ def scenarios(
 
 def sky(
     file: Annotated[
-        Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, generated positions.")
+        Path,
+        typer.Option("--out", callback=new_file, help="FILE.toml, a scenario, or FILE.csv, generated positions."),
     ],
     aircraft: Annotated[
         str | None,
@@ -395,7 +397,3 @@ for name, function in FUNCTIONS.items():
     panel = examples.COMMANDS[name].panel
     app.command(name, rich_help_panel=panel, epilog=examples.epilog(name), context_settings=settings)(function)
 app.add_typer(cli_bench.bench, rich_help_panel=examples.COMMANDS["bench"].panel, epilog=examples.epilog("bench"))
-
-
-if __name__ == "__main__":
-    main()

@@ -15,6 +15,7 @@ from cogradar.services.cli.console import (
     SetOption,
     command,
     err,
+    new_file,
     out,
     print_json,
     progress,
@@ -177,7 +178,7 @@ def simulate(
     ] = None,
     store: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="JSON file that keeps what is done, to go on with."),
+        typer.Option(metavar="FILE", callback=new_file, help="JSON file that keeps what is done, to go on with."),
     ] = None,
     workers: Annotated[int, typer.Option(min=0, max=1024, help="Processes; 0: one for each core.")] = 0,
 ) -> None:
@@ -249,7 +250,12 @@ def chaos(
     rate: RateOption = None,
     file: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="In real time: when what was killed, and what tracks did; CSV."),
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            callback=new_file,
+            help="In real time: when what was killed, and what tracks did; CSV.",
+        ),
     ] = None,
 ) -> None:
     """Kill processes of running systems at random, and check their runs.

@@ -26,6 +26,8 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
+    new_file,
+    new_folder,
     newest_store,
     out,
     print_csv,
@@ -65,6 +67,9 @@ StrategiesOption = Annotated[
 ]
 FirstSeedOption = Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")]
 WorkersOption = Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")]
+IntoOption = Annotated[
+    str | None, typer.Option(metavar="PAGE", callback=new_file, help="Markdown page: tables between its markers.")
+]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")]
 
 
@@ -119,11 +124,10 @@ def sweep(
         str | None, typer.Option(metavar="KEY=VALUE", help="Compare with this value of an axis, within seeds.")
     ] = None,
     folder: Annotated[
-        str | None, typer.Option("--out", metavar="FOLDER", help="Draw a figure of one or two axes there.")
+        str | None,
+        typer.Option("--out", metavar="FOLDER", callback=new_folder, help="Draw a figure of one or two axes there."),
     ] = None,
-    into: Annotated[
-        str | None, typer.Option(metavar="PAGE", help="Markdown page: tables between markers of the store's name.")
-    ] = None,
+    into: IntoOption = None,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
@@ -224,9 +228,7 @@ def report(
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
     seed: SeedFilter = None,
-    into: Annotated[
-        str | None, typer.Option(metavar="PAGE", help="Markdown page whose tables to rewrite, between its markers.")
-    ] = None,
+    into: IntoOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Summarise stored runs: detection, errors, lost tracks, strategies, with intervals.
@@ -305,7 +307,9 @@ def figures(
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
     seed: SeedFilter = None,
-    folder: Annotated[str, typer.Option("--out", metavar="FOLDER", help="Where the figures go.")] = "figures",
+    folder: Annotated[
+        str, typer.Option("--out", metavar="FOLDER", callback=new_folder, help="Where the figures go.")
+    ] = "figures",
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF.
 
@@ -323,7 +327,7 @@ def figures(
             try:
                 files += drawing.draw_all(opened, experiment, place, err.print)
             except OSError as error:
-                raise RunFailed(str(error)) from None
+                raise RunFailed(f"{error.filename or place}: {error.strerror or error}") from None
         for file in files:
             out.print(str(file), soft_wrap=True)
         _say_left_out(damaged)

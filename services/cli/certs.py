@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from cogradar.services.cli.console import JsonOption, command, out, print_json
+from cogradar.services.cli.console import JsonOption, command, new_folder, out, print_json
 from cogradar.services.errors import BadInput
 
-FOLDER = Path("certs")
+FOLDER = "certs"
 DAYS = {"init": 3650, "issue": 365}
 
 
@@ -28,7 +28,9 @@ def certs(
         list[str] | None,
         typer.Argument(metavar="[ROLE.NAME]...", help="With issue: one for each process, such as planner.host-1."),
     ] = None,
-    folder: Annotated[Path, typer.Option(metavar="FOLDER", help="Where authority and certificates are.")] = FOLDER,
+    folder: Annotated[
+        str, typer.Option(metavar="FOLDER", callback=new_folder, help="Where authority and certificates are.")
+    ] = FOLDER,
     hosts: Annotated[
         list[str] | None,
         typer.Option("--host", help="Name or address at which a router is reached. May repeat."),
@@ -49,16 +51,17 @@ def certs(
     """
     from cogradar.services.certs import authority
 
+    place = Path(folder)
     with command(at_once=True):
         if action is Action.INIT and (names or hosts):
             raise BadInput("init makes an authority: ROLE.NAME and --host belong to issue")
         if action is Action.ISSUE and not names:
             raise BadInput("issue: for whom? ROLE.NAME, such as planner.host-1")
         if action is Action.INIT:
-            authority.create(folder, days or DAYS["init"])
-            written = [folder / "ca.key", folder / "ca.crt"]
+            authority.create(place, days or DAYS["init"])
+            written = [place / "ca.key", place / "ca.crt"]
         else:
-            written = authority.issue(folder, names or (), hosts or (), days or DAYS["issue"])
+            written = authority.issue(place, names or (), hosts or (), days or DAYS["issue"])
     if as_json:
         print_json([str(file) for file in written])
         return

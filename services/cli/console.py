@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
+from cogradar.services.analysis.export.whole import fault_of_file, fault_of_folder
 from cogradar.services.certs import endpoints as written
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed, SignalEvent
@@ -67,6 +68,20 @@ def endpoints(text: str | None) -> str | None:
     if text is not None and (fault := written.fault_of(text)):
         raise typer.BadParameter(fault)
     return text
+
+
+def new_file(given: str | Path | None) -> str | Path | None:
+    """A file to write. Raises BadParameter for one that cannot be."""
+    if given is not None and (fault := fault_of_file(given)):
+        raise typer.BadParameter(fault)
+    return given
+
+
+def new_folder(given: str | None) -> str | None:
+    """A folder to write into, which may not be there yet. Raises BadParameter for one that cannot be."""
+    if given is not None and (fault := fault_of_folder(given)):
+        raise typer.BadParameter(fault)
+    return given
 
 
 def one_source(context: typer.Context, option: typer.CallbackParam, text: str | None) -> str | None:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
+from cogradar.services.analysis.export.whole import fault_of_folder
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.output import Format, Output
 
@@ -53,7 +54,7 @@ def transport(
     if found is None:
         if not has_files:
             raise BadInput(f"--out {out}: this format goes to udp://HOST:PORT, tcp://HOST:PORT, or - alone")
-        return Folder(Path(out))
+        return Folder(out)
     if has_files:
         raise BadInput(f"--out {out}: this format is files; name a folder" + (" or -" if is_stream else ""))
     address = found[2] or found[3], int(found[4])
@@ -81,11 +82,10 @@ class Stdout:
 class Folder:
     """Files in a folder. A reader finds each whole: the old one or the new one."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
-        if not above.is_dir() or not os.access(above, os.W_OK):
-            raise BadInput(f"--out {folder}: {above} is no folder that can be written to")
+    def __init__(self, folder: str | Path) -> None:
+        self._folder = Path(folder)
+        if fault := fault_of_folder(folder):
+            raise BadInput(f"--out: {fault}")
 
     def send(self, outputs: Sequence[Output]) -> None:
         """Replace the files. Raises RunFailed if the system does not let us."""

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from cogradar.services.analysis.drawing.figures import save
 from cogradar.services.analysis.drawing.looks import STYLE, Look, looks
+from cogradar.services.analysis.export.whole import made
 from cogradar.services.analysis.pages import first_run, write_into
 from cogradar.services.analysis.report import report
 from cogradar.services.analysis.report_tables import (
@@ -246,7 +247,7 @@ def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:
             for strategy, look in drawn.items()
         ]
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-        folder.mkdir(parents=True, exist_ok=True)
+        made(folder)
         return save(figure, folder / "sweep")
 
 

@@ -18,6 +18,7 @@ from cogradar.services.analysis.drawing.gospa import gospa
 from cogradar.services.analysis.drawing.life import life
 from cogradar.services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
 from cogradar.services.analysis.drawing.theory import consistency, detection
+from cogradar.services.analysis.export.whole import made
 from cogradar.services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
 from cogradar.services.metrics.experiments import Experiment
 from cogradar.services.metrics.recording import snapshots
@@ -61,7 +62,7 @@ def draw_all(
     drawings["gospa"] = lambda: gospa(store, results)
     drawings["detection"] = lambda: detection(results)
     drawings["consistency"] = lambda: consistency(results)
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     files = []
     with mpl.rc_context(STYLE):
         for name, drawing in drawings.items():

@@ -8,9 +8,41 @@ from pathlib import Path
 from cogradar.services.errors import BadInput
 
 
+def fault_of_file(given: str | Path) -> str:
+    """Why no file of this name can be written; empty if one can."""
+    file = Path(given)
+    if given == "":
+        return "has no name: name a file"
+    if file.is_dir():
+        return f"{file}: is a folder: name a file in it"
+    if not file.parent.is_dir():
+        return f"{file}: there is no folder {file.parent}: make it first, or name another one"
+    return ""
+
+
+def fault_of_folder(given: str | Path) -> str:
+    """Why no files can be written into a folder of this name; empty if they can: it is made if it is not there."""
+    folder = Path(given)
+    if given == "":
+        return "has no name: name a folder; . is this one"
+    above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not above.is_dir():
+        return f"{folder}: {'is' if above == folder else f'{above} is'} a file: name a folder, which is made if need be"
+    return "" if os.access(above, os.W_OK) else f"{folder}: {above} may not be written to: name another folder"
+
+
+def made(folder: Path) -> None:
+    """Make a folder, unless it is there. Raises BadInput, OSError."""
+    if fault := fault_of_folder(folder):
+        raise BadInput(fault)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
 @contextmanager
 def whole(file: Path, *, force: bool) -> Iterator[Path]:
     """Another name for a file, under which it is written; it gets its own when all of it is there. Raises BadInput."""
+    if fault := fault_of_file(file):
+        raise BadInput(fault)
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
     part = file.with_name(f".{file.stem}.{os.getpid()}.part{file.suffix}")

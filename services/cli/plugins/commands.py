@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cogradar.services.cli import completion
-from cogradar.services.cli.console import command, err, out, progress, say
+from cogradar.services.cli.console import command, err, new_file, out, progress, say
 from cogradar.services.errors import BadInput, RunFailed
 
 
@@ -17,7 +17,7 @@ def new(
             help="rule, belief, strategy, objective, disturbance, front-end or feed.", autocompletion=completion.kinds
         ),
     ],
-    file: Annotated[Path, typer.Argument(help="The file to write, NAME.py.")],
+    file: Annotated[Path, typer.Argument(callback=new_file, help="The file to write, NAME.py.")],
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a first version of a plug-in; it runs as it is."""

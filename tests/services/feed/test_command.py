@@ -104,7 +104,7 @@ def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
         (("--to", "geojson", "nothing", *out), "no such run"),
         (("--to", "geojson", "--site", "48,11", *out), "must be LATITUDE,LONGITUDE,HEIGHT,BEARING"),
         (("--to", "geojson", "--site", "148,11,0,60", *out), "latitude_deg: input should be less than or equal to 90"),
-        (("--to", "geojson", "--out", f"{file}/x", "--store", file), "is no folder that can be written to"),
+        (("--to", "geojson", "--out", f"{file}/x", "--store", file), "is a file: name a folder"),
         (("--to", "geojson", "--out", "udp:1.2.3.4:8600/x", "--store", file), "must be udp://HOST:PORT"),
     ):
         done = here("feed", *options)
