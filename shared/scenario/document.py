@@ -4,9 +4,10 @@ import errno
 import re
 import secrets
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,27 @@ class Document:
             return inside[-1]
         known = (tuple(loc[:n]) for n in range(len(loc), 0, -1))
         return next((self.sources[place] for place in known if place in self.sources), self.source)
+
+    def order(self) -> Callable[[Loc], tuple[float, ...]]:
+        """Sorts places as they were given, line by line, settings last. What is missing is at its table's end."""
+        last = {place[:n]: i for i, place in enumerate(self.sources) for n in range(1, len(place) + 1)}
+
+        def of(loc: Loc) -> tuple[float, ...]:
+            place = next((tuple(loc[:n]) for n in range(len(loc), 0, -1) if tuple(loc[:n]) in last), ())
+            if place not in self.sources and self.sources:
+                return (last.get(place, inf) + 0.5,)
+            value: Any = self.tables
+            found = [float(last.get(place, 0))]
+            for part in place:
+                value = value[part]
+            for part in loc[len(place) :] if isinstance(value, dict | list) else ():
+                keys: list[Any] = list(value if isinstance(value, dict) else range(len(value)))
+                found.append(keys.index(part) if part in keys else inf)
+                if not isinstance(value := value[part] if part in keys else None, dict | list):
+                    break
+            return (*found, inf)
+
+        return of
 
     def file_of(self, loc: Loc) -> Path | None:
         """The file that gave the value at `loc`; None: a setting did."""

@@ -2,10 +2,11 @@
 
 import re
 import reprlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from difflib import get_close_matches
 from functools import cache
-from typing import Any, NamedTuple
+from itertools import islice
+from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -14,6 +15,7 @@ Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*[^\W\d_]{0,8}\s*")
 MAX_EXPLAINED = 20  # faults of one document that have a line each; to explain one takes a fifth of a millisecond
+MAX_FURTHER = 500  # that are counted of entries after the first wrong one of a list
 MAX_SHOWN = 60  # characters of a key
 PRINTED_BITS = 13_000  # of an integer: with more than 4300 digits Python refuses to print it, or prints something else
 _NOUN = {
@@ -58,15 +60,55 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     return str(faults(error, model)[0]) + (f" (and {more} more)" if more else "")
 
 
-def faults(error: ValidationError, model: type[BaseModel]) -> list[Fault]:
-    """All that `model` found, of which the first MAX_EXPLAINED are explained."""
-    # A misspelt key is both missing and unknown: the unknown one is what its author must see.
+def faults(
+    error: ValidationError, model: type[BaseModel], document: Any = None, order: Callable[[Loc], Any] | None = None
+) -> list[Fault]:
+    """All that `model` found, of which the first MAX_EXPLAINED are explained.
+
+    document : in which it was found; with it, entries of lists after the first wrong one are looked at, too
+    order    : of places; None: unknown keys first
+    """
     found = error.errors(include_url=False, include_context=False)
-    errors = sorted(found, key=lambda item: item["type"] != "extra_forbidden")
+    found += islice(_further(found, document, model), MAX_FURTHER)
+    # A misspelt key is both missing and unknown: the unknown one is what its author must see.
+    errors = sorted(found, key=lambda item: order(item["loc"]) if order else item["type"] != "extra_forbidden")
     explained: dict[Fault, None] = {}  # each alternative of a value has an error
     while errors and len(explained) < MAX_EXPLAINED:
         explained.setdefault(_fault(errors.pop(0), model))
     return [*explained, *(Fault(item["loc"], " = ...", "") for item in errors)]
+
+
+def _further(
+    errors: Sequence[ErrorDetails], value: Any, model: type[BaseModel], loc: tuple[int | str, ...] = ()
+) -> Iterator[ErrorDetails]:
+    """Errors of later entries of lists, of which a model says the first wrong one alone, so that it takes no time."""
+    for key, field in model.model_fields.items() if isinstance(value, dict) else ():
+        place, inner = (*loc, key), value.get(key)
+        here = [error for error in errors if error["loc"][: len(place)] == place]
+        kinds = (field.annotation, *get_args(field.annotation))
+        kind = next((one for one in kinds if isinstance(one, type) and issubclass(one, BaseModel)), None)
+        if not here or kind is None:
+            continue
+        if not isinstance(inner, list):
+            yield from _further(here, inner, kind, place)
+            continue
+        most = max((limit.max_length for limit in field.metadata if hasattr(limit, "max_length")), default=0)
+        wrong = [n for error in here for n in error["loc"][len(place) :][:1] if isinstance(n, int)]
+        for i in range(max(wrong), len(inner)) if wrong and len(inner) <= most else ():
+            fresh = [error for error in here if error["loc"][len(place)] == i]
+            if i > max(wrong):
+                fresh = _errors_of(inner[i], kind, (*place, i))
+                yield from fresh
+            yield from _further(fresh, inner[i], kind, (*place, i))
+
+
+def _errors_of(value: Any, model: type[BaseModel], loc: tuple[int | str, ...]) -> list[ErrorDetails]:
+    try:
+        model.model_validate(value)
+    except ValidationError as error:
+        found = error.errors(include_url=False, include_context=False)
+        return [{**item, "loc": (*loc, *item["loc"])} for item in found]
+    return []
 
 
 def unknown_keys(document: Any, model: type[BaseModel]) -> tuple[list[Fault], int]:

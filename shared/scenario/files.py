@@ -71,16 +71,14 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
         except ScenarioError as error:
             unset += error.faults
     read_in = (_read_trajectories, _read_errors, _read_recording, _settle_names)
-    if unread := [fault for each in read_in for fault in each(document)]:
-        raise _refusal([*unset, *unread], len(unset) + len(unread))
-    scenario = _checked(document, Scenario, unset)
+    scenario = _checked(document, Scenario, unset, [fault for each in read_in for fault in each(document)])
     _check_recording(scenario, document)
     return scenario
 
 
-def _read_errors(document: Document) -> list[str]:
+def _read_errors(document: Document) -> list[Fault]:
     """Put the rows of files with errors of antennas into the place of their names; returns what is wrong with them."""
-    table, wrong = _within(document, _ARRAY), list[str]()
+    table, wrong = _within(document, _ARRAY), list[Fault]()
     for key in ("tx_errors", "rx_errors"):
         if not isinstance(table.get(key), str):
             continue
@@ -89,7 +87,7 @@ def _read_errors(document: Document) -> list[str]:
         try:
             table[key] = element_errors((given_by.parent if given_by else Path()) / table[key])
         except ScenarioError as error:
-            wrong.append(Fault(loc, f" = {table[key]!r}", str(error)).given_by(document.source_of(loc)))
+            wrong.append(Fault(loc, f" = {table[key]!r}", str(error)))
     return wrong
 
 
@@ -101,9 +99,9 @@ def _within(document: Document, loc: Sequence[str]) -> dict[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _settle_names(document: Document) -> list[str]:
+def _settle_names(document: Document) -> list[Fault]:
     """Put names that say their source's hash into the place of a user's own ones; returns what is wrong with them."""
-    wrong = list[str]()
+    wrong = list[Fault]()
     for kind in IN_SCENARIO:
         loc = tuple(kind.stands.split("."))
         table = _within(document, loc[:-1])
@@ -114,7 +112,7 @@ def _settle_names(document: Document) -> list[str]:
             folder, file = (given_by.parent, str(given_by)) if given_by else (Path(), "")
             table[loc[-1]] = settled(kind, given, folder, file)
         except PluginRefused as error:
-            wrong.append(Fault(loc, f" = {printable(given)!r}", str(error)).given_by(document.source_of(loc)))
+            wrong.append(Fault(loc, f" = {printable(given)!r}", str(error)))
     return wrong
 
 
@@ -123,7 +121,7 @@ _TAKEN = {("world", section) for section, _ in ASSUMED}
 _RECORDING = ("world", "disturbance", "recording")
 
 
-def _read_recording(document: Document) -> list[str]:
+def _read_recording(document: Document) -> list[Fault]:
     """Put the whole path and the digest of a recording beside its name; returns what is wrong with it."""
     table = _within(document, _RECORDING)
     if not isinstance(table.get("file"), str) or "\0" in table["file"]:
@@ -135,11 +133,11 @@ def _read_recording(document: Document) -> list[str]:
         digest = sha256(path)
     except (RecordingError, OSError) as error:
         said = error.strerror if isinstance(error, OSError) else error
-        return [Fault(loc, f" = {table['file']!r}", printable(str(said))).given_by(document.source_of(loc))]
+        return [Fault(loc, f" = {table['file']!r}", printable(str(said)))]
     if table.get("sha256", digest) != digest:
         loc[-1] = "sha256"
         said = f"must be {digest}, of {path}: leave it out, or name the file that the run had"
-        return [Fault(loc, f" = {table['sha256']!r}", printable(said)).given_by(document.source_of(loc))]
+        return [Fault(loc, f" = {table['sha256']!r}", printable(said))]
     table |= {"file": str(path), "sha256": digest}
     return []
 
@@ -171,11 +169,11 @@ def _check_recording(scenario: Scenario, document: Document) -> None:
         raise _refusal([fault.given_by(document.source_of(_RECORDING))], 1) from None
 
 
-def _read_trajectories(document: Document) -> list[str]:
+def _read_trajectories(document: Document) -> list[Fault]:
     """Put the rows of trajectory files into the place of their names; returns what is wrong with them."""
     world = document.tables.get("world")
     targets = world.get("targets") if isinstance(world, dict) else None
-    wrong, most = list[str](), MAX_ROWS
+    wrong, most = list[Fault](), MAX_ROWS
     for m, target in enumerate(targets if isinstance(targets, list) else []):
         if not isinstance(target, dict) or not isinstance(target.get("trajectory"), str):
             continue
@@ -185,8 +183,7 @@ def _read_trajectories(document: Document) -> list[str]:
             rows = trajectory((given_by.parent if given_by else Path()) / target["trajectory"], most)
             target["trajectory"], most = rows, most - len(rows)
         except ScenarioError as error:
-            fault = Fault(loc, f" = {target['trajectory']!r}", str(error))
-            wrong.append(fault.given_by(document.source_of(loc)))
+            wrong.append(Fault(loc, f" = {target['trajectory']!r}", str(error)))
     return wrong
 
 
@@ -205,18 +202,24 @@ def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
     return _checked(Document(source, document), WorldConfig)
 
 
-def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
-    """The document, if nothing is wrong with it; `unset` are the faults of settings that have no place in it."""
-    lines = list(unset)
+def _checked(document: Document, kind: type[T], unset: Sequence[str] = (), unread: Sequence[Fault] = ()) -> T:
+    """The document, if nothing is wrong with it.
+
+    unset  : faults of settings that have no place in it
+    unread : faults of files that it names, and of what these hold
+    """
+    lines, order = list(unset), document.order()
     found, n_unknown = unknown_keys(document.tables, kind)
     if n_unknown > MAX_EXPLAINED:  # nothing else matters, and to look for it takes long
         raise _refusal([*lines, *(fault.given_by(document.source_of(fault.loc)) for fault in found)], n_unknown)
-    found = []
+    found = list(unread)
     try:
         checked = kind.model_validate(document.tables)
         tables = checked.model_dump()
     except ValidationError as error:
-        found, tables = faults(error, kind), document.tables
+        tables = document.tables
+        known = {tuple(fault.loc) for fault in unread}
+        found += [fault for fault in faults(error, kind, tables, order) if tuple(fault.loc) not in known]
     if len(found) > MAX_EXPLAINED:
         pass  # what is wrong with values together is not shown
     elif kind is Scenario:
@@ -225,7 +228,7 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
         found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
     if not isinstance(document.tables.get("radar", {}), dict):  # what the world would take over from it is not missing
         found = [fault for fault in found if tuple(fault.loc) not in _TAKEN]
-    found = list(dict.fromkeys(_as_written(fault, document) for fault in found))
+    found = sorted(dict.fromkeys(_as_written(fault, document) for fault in found), key=lambda fault: order(fault.loc))
     n = len(lines) + len(found)
     lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[:MAX_EXPLAINED]]
     if not lines:

@@ -137,12 +137,12 @@ def test_every_fault_is_named_at_once(tmp_path: Path) -> None:
     assert caught.value.faults == (
         "--set speed: must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]",
         "--set world.targets.9.state=3: world.targets has no entry 9, must be 1 to 2",
+        f"{file}: radar.acquisition.v_max_km_s = -1.0: must be a number > 0 and <= 10",
+        f"{file}: radar.acquisition: range_max_km = 200 must be above range_min_km = 500",
         f"{file}: world.targets #2, colour = 'red': unknown key, must be one of state, trajectory, height_km,"
         " born_s, gone_s, turns, sigma_s_km_s2, rcs_db, rcs, stays",
         "--over radar.array.n_tx=1: must be an integer >= 2 and <= 512",
-        f"{file}: radar.acquisition.v_max_km_s = -1.0: must be a number > 0 and <= 10",
         f"{file} --over radar.array.n_tx=1: radar.tracks = 3: must be the number of world.targets, 2",
-        f"{file}: radar.acquisition: range_max_km = 200 must be above range_min_km = 500",
         f"{file} --over radar.array.n_tx=1: world.targets #1 and #2 start in the same angle bin 8 of 16, must start in"
         " two",
     )

@@ -1,6 +1,8 @@
 """What is wrong with a document, in one line, whatever it is."""
 
 import copy
+import re
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -84,6 +86,54 @@ def test_all_errors_have_a_line_each_until_there_are_too_many(n_wrong: int) -> N
     known = "unknown key, must be one of name, title, dwells, radar, world, site"
     assert lines[:shown] == tuple(f"x.toml: key{i} = {i}: {known}" for i in range(shown))
     assert lines[shown:] == ((f"and {n_wrong - shown} more",) if n_wrong > shown else ())
+
+
+def test_every_fault_has_its_line_in_the_order_of_the_file(tmp_path: Path) -> None:
+    """Also behind the first target that is wrong, and behind a file that cannot be read."""
+    file = tmp_path / "bad.toml"
+    file.write_text("""
+extends = "paper"
+nmae = "x"
+[[world.targets]]
+state = [60.0, 0.2, 7.5, 0.1]
+bogus = 1
+turns = [{ from_s = 1.0, to_s = 2.0, g = 90 }, { from_s = 3.0 }, { from_s = 5.0, to_s = 6.0, omega = 1 }]
+[[world.targets]]
+trajectory = "nowhere.csv"
+colour = "red"
+[[world.targets]]
+state = "x"
+[radar]
+blub = 3
+[radar.array]
+n_tx = 0
+""")
+    with pytest.raises(ScenarioError) as caught:
+        load(str(file), ["radar.array.n_rx=0", "dwells=0"])
+    said = [re.match("(?:--set |[^:]*: )([^:=]*[^ :=])", line)[1] for line in caught.value.faults]  # type: ignore[index]
+    assert said == [
+        "nmae",
+        "world.targets #1, bogus",
+        "world.targets #1, turns #1, g",
+        "world.targets #1, turns #2, to_s",
+        "world.targets #1, turns #3, omega",
+        "world.targets #2, trajectory",
+        "world.targets #2, colour",
+        "world.targets #3, state",
+        "radar.blub",
+        "radar.array.n_tx",
+        "radar.array.n_rx",
+        "dwells",
+    ]
+
+
+def test_of_many_targets_twenty_faults_are_explained_and_the_others_counted() -> None:
+    document = load("smoke").model_dump()
+    document["world"]["targets"] = [{"state": [-1.0, 0.0, float(i), 0.0]} for i in range(100)]
+    with pytest.raises(ScenarioError) as caught:
+        parse(document, source="x.toml")
+    assert [f"targets #{i}, state" in caught.value.faults[i - 1] for i in range(1, 21)] == 20 * [True]
+    assert caught.value.faults[20:] == ("and 80 more",)
 
 
 @pytest.mark.parametrize(
