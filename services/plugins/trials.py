@@ -235,16 +235,19 @@ def _front_end() -> Trial:
     dwell_ms = 1e3 * settings.radar.motion.dt_s
 
     def call(make: Callable[[Settings], FrontEnd], asked: Transmission) -> Any:
-        return _driven(make, settings, [asked])[0]
+        return _driven(make, settings, [asked])[0][-1:]
 
     def dwells(make: Callable[[Settings], FrontEnd]) -> tuple[str, bool]:
-        _, taken_ms = _driven(make, settings, [_asked(settings.radar, k) for k in range(DWELLS)])
+        scans, taken_ms = _driven(make, settings, [_asked(settings.radar, k) for k in range(DWELLS)])
         n, (first_ms, *later_ms) = len(taken_ms), taken_ms or [0.0]
         k = int(np.argmax(later_ms)) + 1 if later_ms else 0
         slowest = f"the slowest, dwell {k}, in {max(later_ms, default=0.0):.3g} ms of {dwell_ms:g} ms"
+        if n == 0:
+            return "none: transmit returned None at the first one, which ends a run", False
         ended = "" if n == DWELLS else "; then there are no more"
-        said = f"{n} of acquisition and beams{ended}; the first in {first_ms:.3g} ms, {slowest}"
-        return said, max(later_ms, default=0.0) < dwell_ms
+        silent, measures = _silent(scans)
+        said = f"{n} of acquisition and beams{ended}{silent}; the first in {first_ms:.3g} ms, {slowest}"
+        return said, measures and max(later_ms, default=0.0) < dwell_ms
 
     def everywhere() -> tuple[Any, ...]:
         return (transmission(settings.radar, None),)
@@ -253,11 +256,26 @@ def _front_end() -> Trial:
     return Trial(cases, "", call, dwells, "dwells", repeats=False)
 
 
+def _silent(scans: Sequence[Scan]) -> tuple[str, bool]:
+    """In which dwells nothing or not all was measured, and whether something was with each kind of waveform."""
+    nothing = [scan for scan in scans if not scan.bins.size]
+    partly = sum(scan.unmeasured is not None and scan.bins.size > 0 for scan in scans)
+    said = f"; not all was measured in {partly} of them" if partly else ""
+    kinds = (("power everywhere", scans[:ACQUISITION]), ("beams", scans[ACQUISITION:]))
+    deaf = [name for name, of in kinds if of and not any(scan.bins.size for scan in of)]
+    if nothing:
+        why = next((f", {scan.fault}" for scan in nothing if scan.fault), "")
+        said += f"; nothing was measured in {len(nothing)} of them{why}"
+    if deaf:
+        said += f"; with {' and '.join(deaf)} nothing is ever measured: a run would find or keep no target"
+    return said, not deaf
+
+
 def _driven(
     make: Callable[[Settings], FrontEnd], settings: Settings, asked: Sequence[Transmission]
-) -> tuple[Scan | None, list[float]]:
-    """The last scan of a front end that is opened for these dwells, and how long each took, ms. Raises PluginFailed."""
-    scan, taken_ms, where = None, list[float](), ""
+) -> tuple[list[Scan], list[float]]:
+    """The scans of a front end that is opened for these dwells, and how long each took, ms. Raises PluginFailed."""
+    scans, taken_ms, where = list[Scan](), list[float](), ""
     try:
         front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S)
         try:
@@ -267,12 +285,12 @@ def _driven(
                 if (measured := front_end.transmit(k, t, one)) is None:
                     break
                 taken_ms.append(1e3 * (time.perf_counter() - began))
-                scan = scan_message(settings, k, t, compared(settings.radar, one, measured), None)
+                scans.append(scan_message(settings, k, t, compared(settings.radar, one, measured), None))
         finally:
             front_end.close()
     except Exception as error:
         raise PluginFailed(f"{where if len(asked) > 1 else ''}{type(error).__name__}: {error}") from error
-    return scan, taken_ms
+    return scans, taken_ms
 
 
 def _asked(radar: RadarConfig, k: int) -> Transmission:

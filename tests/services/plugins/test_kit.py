@@ -62,6 +62,22 @@ def test_a_front_end_that_hangs_is_found(tmp_path: Path, monkeypatch: pytest.Mon
         ("assert k < 7", r"^dwell 7: AssertionError", False),
         ("assert waveform.isotropic", r"^dwell 5: AssertionError", False),  # it does not expect beams
         ("if k == 9: return None", r"^9 of acquisition and beams; then there are no more; the first", True),
+        ("return None", "^none: transmit returned None at the first one, which ends a run$", False),
+        (
+            "return ScanData.not_measured('no packet')",
+            r"^20 of .*; nothing was measured in 20 of them, no packet; with power everywhere and beams nothing is",
+            False,
+        ),
+        (
+            "if not waveform.isotropic: return ScanData.not_measured()",
+            r"nothing was measured in 15 of them; with beams nothing is ever measured: a run would find or keep no",
+            False,
+        ),
+        (
+            "if k == 3: return ScanData.not_measured('no packet')",
+            r"^20 of acquisition and beams; nothing was measured in 1 of them, no packet; the first",
+            True,
+        ),
         ("__import__('time').sleep(1.1 * (k == 6))", r"the slowest, dwell 6, in 1\S+ ms of 1000 ms$", False),
     ],
 )
