@@ -337,7 +337,7 @@ def feed(
                     n = feeding.feed(pictures, form, way, rate if speed else 0.0)
         finally:
             way.close()
-    say(f"{n} pictures sent", err)
+    say(way.outcome(n), err)
 
 
 def schema(

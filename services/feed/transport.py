@@ -31,6 +31,9 @@ class Transport(Protocol):
     def close(self) -> None:
         """Let go of what is open."""
 
+    def outcome(self, n: int) -> str:
+        """What has become of n pictures, in words."""
+
 
 def transport(
     out: str, form: Format, notify: Callable[[str], None], *, has_files: bool, is_stream: bool, is_dialogue: bool
@@ -78,6 +81,10 @@ class Stdout:
     def close(self) -> None:
         """It stays open."""
 
+    def outcome(self, n: int) -> str:
+        """Its reader has them."""
+        return f"{n} pictures sent"
+
 
 class Folder:
     """Files in a folder. A reader finds each whole: the old one or the new one."""
@@ -102,6 +109,10 @@ class Folder:
 
     def close(self) -> None:
         """The files stay."""
+
+    def outcome(self, n: int) -> str:
+        """Each replaced the one before."""
+        return f"{n} pictures written into {self._folder}"
 
 
 class Udp:
@@ -134,6 +145,10 @@ class Udp:
         """Close the socket."""
         self._socket.close()
 
+    def outcome(self, n: int) -> str:
+        """Nothing comes back from a receiver."""
+        return f"{n} pictures sent to {self._name}; datagrams do not tell whether anything receives them"
+
 
 class Tcp:
     """A connection to a server, made again whenever it is lost; what would have been sent meanwhile is not."""
@@ -143,11 +158,13 @@ class Tcp:
         self._socket: socket.socket | None = None
         self._next_s = 0.0
         self._said = ""
+        self._lost = 0  # pictures for which there was no connection
 
     def send(self, outputs: Sequence[Output]) -> None:
         """Send all, if there is a connection or one can be had; where a greeting must come first, that alone."""
         is_new = self._socket is None
         if is_new and not self._connect():
+            self._lost += 1
             return
         greeting = self._form.greeting() if is_new else b""
         try:
@@ -155,6 +172,7 @@ class Tcp:
                 answer = self._read(self._socket)
                 self._socket.sendall(greeting or answer + b"".join(output.data for output in outputs))
         except OSError as error:
+            self._lost += 1
             self._drop()
             self._form.lost()
             self._say(error)
@@ -169,6 +187,14 @@ class Tcp:
                     self._read(self._socket)
                     time.sleep(GAP_S)
         self._drop()
+
+    def outcome(self, n: int) -> str:
+        """How many there was a connection for."""
+        name = f"tcp://{self._address[0]}:{self._address[1]}"
+        if self._lost >= n > 0:
+            return f"no picture was sent, {n} were lost: there was no connection to {name}"
+        lost = "; there was no connection for the others" if self._lost else ""
+        return f"{n - self._lost} of {n} pictures sent to {name}{lost}"
 
     def _read(self, connection: socket.socket) -> bytes:
         """Read what the server says; what is to be answered. Raises ConnectionError at its end, RunFailed."""

@@ -31,9 +31,22 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_a_stored_run_becomes_files(file: str, tmp_path: Path) -> None:
     done = here("feed", "--to", "aircraft-json", "--out", str(tmp_path), "--store", file, "--speed", "0")
     assert (done.returncode, done.stdout) == (0, "")
-    assert "pictures sent" in done.stderr
+    assert f"pictures written into {tmp_path}" in done.stderr.replace("\n", " ")
     assert {entry.name for entry in tmp_path.iterdir()} == {"aircraft.json", "receiver.json"}
     assert json.loads((tmp_path / "aircraft.json").read_text())["aircraft"] == []  # the run is over
+
+
+def test_it_is_said_that_nothing_has_read_the_pictures(file: str) -> None:
+    done = here("feed", "--to", "asterix", "--out", "tcp://127.0.0.1:9", "--store", file, "--speed", "0")
+    assert done.returncode == 0
+    said = done.stderr.replace("\n", " ")
+    assert "no picture was sent, 6 were lost: there was no connection to tcp://127.0.0.1:9" in said
+    with socket.create_server(("127.0.0.1", 0)) as display:
+        name = f"tcp://127.0.0.1:{display.getsockname()[1]}"
+        done = here("feed", "--to", "asterix", "--out", name, "--store", file, "--speed", "0")
+    assert done.stderr.replace("\n", " ") == f"6 of 6 pictures sent to {name} "
+    done = here("feed", "--to", "asterix", "--out", "udp://127.0.0.1:9", "--store", file, "--speed", "0")
+    assert "6 pictures sent to udp://127.0.0.1:9; datagrams do not tell" in done.stderr.replace("\n", " ")
 
 
 def test_it_is_played_at_the_pace_that_is_asked_for(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

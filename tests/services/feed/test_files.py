@@ -77,6 +77,9 @@ class _Kept:
 
     def close(self) -> None: ...
 
+    def outcome(self, n: int) -> str:
+        return str(n)
+
 
 def test_at_the_end_and_between_runs_no_track_stays() -> None:
     way = _Kept()

@@ -87,6 +87,8 @@ def test_without_a_server_it_says_so_once_and_goes_on(monkeypatch: pytest.Monkey
     way.send([Output(b"x")])
     way.send([Output(b"y")])
     assert said == ["tcp://127.0.0.1:9: connection refused; trying again"]
+    assert way.outcome(2) == "no picture was sent, 2 were lost: there was no connection to tcp://127.0.0.1:9"
+    assert way.outcome(3) == "1 of 3 pictures sent to tcp://127.0.0.1:9; there was no connection for the others"
 
 
 def test_a_host_that_there_is_not_is_bad_input() -> None:
