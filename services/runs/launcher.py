@@ -2,12 +2,13 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from cogradar.shared.wire.session import CONFIG_VARIABLE, free_port
 SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
 MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
-MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
+MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of one process; more is no accident
 
 
 class Faults(Protocol):
@@ -96,7 +97,7 @@ class Launcher:
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._restarts: deque[float] = deque()
+        self._restarts: defaultdict[str, deque[float]] = defaultdict(deque)  # when, by name
         self._folder = scratch()
         self._certificates: Path | None = None
 
@@ -164,7 +165,7 @@ class Launcher:
             self._processes[victim].kill()
 
     def _restart(self, name: str, code: int) -> None:
-        how = f"exit code {code}" if code >= 0 else f"signal {-code}"
+        how = f"exit code {code}" if code >= 0 else f"signal {-code}, {signal.Signals(-code).name}"
         if code == BadInput.exit_code:  # it would be refused again: a store that somebody else took meanwhile
             raise BadInput(self._lines(name)[-1] if self._lines(name) else f"{name}: refused")
         if name in self._killed:
@@ -176,16 +177,16 @@ class Launcher:
         self._start(name, again=True)
 
     def _count_restart(self, name: str, how: str) -> None:
-        """Raise RunFailed if too many processes ended lately."""
-        now = time.monotonic()
-        while self._restarts and now - self._restarts[0] > RESTART_WINDOW_S:
-            self._restarts.popleft()
-        if len(self._restarts) == MAX_RESTARTS:
+        """Raise RunFailed if a process ended too often lately."""
+        now, before = time.monotonic(), self._restarts[name]
+        while before and now - before[0] > RESTART_WINDOW_S:
+            before.popleft()
+        if len(before) == MAX_RESTARTS:
             raise RunFailed(
-                f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts within {RESTART_WINDOW_S:.0f} s\n"
-                f"{self._tail(name)}".rstrip()
+                f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts of it within"
+                f" {RESTART_WINDOW_S:.0f} s, the most of a process. Its last lines:\n{self._tail(name) or '  (none)'}"
             )
-        self._restarts.append(now)
+        before.append(now)
 
     def _start(self, name: str, *, again: bool = False) -> None:
         role = self._roles[name]

@@ -58,9 +58,32 @@ def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(launcher, "MAX_RESTARTS", 0)
     with Launcher(LocalProcesses(1, ":memory:"), threading.Event()) as processes:
         logs = Path(processes._folder.name)
-        with pytest.raises(RunFailed, match=r"(?s)after 0 restarts.*bye"):
+        with pytest.raises(RunFailed, match=r"(?s)after 0 restarts of it.*bye"):
             _until_it_fails(processes, lambda: sizes.extend(file.stat().st_size for file in logs.iterdir()))
     assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES
+
+
+def test_a_process_is_named_that_ends_too_often_and_others_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is started again five times a minute: kills of all roles together end nothing."""
+    popen, started, said = subprocess.Popen, list[str](), list[str]()
+
+    def start(command: list[str], **settings: Any) -> Any:
+        name = command[command.index("--name") + 1]
+        started.append(name)
+        ends = "print('no more memory'); os.kill(os.getpid(), 9)" if name == "planner-0" else "sys.exit(1)"
+        code = ends if name == "planner-0" or started.count(name) <= 3 else "input()"
+        return popen([sys.executable, "-uc", f"import os, sys; {code}"], **settings)
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    given = LocalProcesses(1, ":memory:")
+    with Launcher(given, threading.Event(), said.append) as processes, pytest.raises(RunFailed) as failed:
+        _until_it_fails(processes)
+    first, *lines = str(failed.value).splitlines()
+    assert first.startswith("planner-0 ended unexpectedly (signal 9, SIGKILL), after 5 restarts of it within 60 s")
+    assert set(lines) == {"  planner-0: no more memory"}
+    assert started.count("planner-0") == 6
+    assert {started.count(name) for name in set(started) - {"planner-0"}} == {4}
+    assert "metrics-0 ended unexpectedly (exit code 1); starting it again" in said
 
 
 def test_no_password_is_on_a_command_line(monkeypatch: pytest.MonkeyPatch) -> None:
