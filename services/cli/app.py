@@ -37,6 +37,7 @@ from cogradar.services.cli.console import (
 from cogradar.services.cli.manual import examples
 from cogradar.services.cli.plugins import commands as cli_plugins
 from cogradar.services.cli.plugins.options import PluginsOption
+from cogradar.services.cli.stores import commands as cli_stores
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.runs.run import untold
 from cogradar.services.topology import Start
@@ -383,7 +384,7 @@ FUNCTIONS: dict[str, Callable[..., None]] = {
     "campaign": cli_campaigns.campaign,
     "sweep": cli_campaigns.sweep,
     "report": cli_campaigns.report,
-    "store": cli_campaigns.store_command,
+    "store": cli_stores.store_command,
     "certs": cli_certs.certs,
     "service": service,
     "schema": cli_answers.schema,

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,14 +31,12 @@ from cogradar.services.cli.console import (
     out,
     print_csv,
     print_json,
-    progress,
     say,
     with_rule,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, Damaged, RunFailed, check_stop
-from cogradar.services.recorder.store.address import SHORT, label, shown
-from cogradar.services.recorder.store.seal import beyond_cure, without_cure
+from cogradar.services.recorder.store.address import SHORT, label
 from cogradar.services.runs.run import as_played
 from cogradar.services.topology import Start
 from cogradar.shared.scenario.files import load
@@ -331,72 +328,3 @@ def figures(
         for file in files:
             out.print(str(file), soft_wrap=True)
         _say_left_out(damaged)
-
-
-class StoreAction(StrEnum):
-    """What is to be done with stores."""
-
-    COPY = "copy"
-    CHECK = "check"
-
-
-def store_command(
-    action: Annotated[StoreAction, typer.Argument(metavar="copy|check", show_choices=False, help="What is done.")],
-    source: Annotated[str, typer.Argument(help=f"SQLite file, or {SHORT}.", autocompletion=completion.stores)],
-    target: Annotated[str | None, typer.Argument(help="Of copy: a new file, or an empty schema of a server.")] = None,
-    intact: Annotated[bool, typer.Option("--intact", help="Of copy: leave out runs with a damaged row.")] = False,
-) -> None:
-    """Copy a store into a new one, from a file to a server, or back; or check
-    that all of it is as it was written.
-
-    What is committed at this moment is checked, copied, read again and
-    compared row by row. A copy that fails leaves an empty store, to which you
-    can copy again. `check` names each damaged run, and its exit code is 2.
-    """
-    if (target is None) is (action is StoreAction.COPY):
-        raise typer.BadParameter("copy takes two stores, check takes one")
-    if intact and action is StoreAction.CHECK:
-        raise typer.BadParameter("--intact belongs to copy")
-    with command() as stop:
-        if target is None:
-            _check_store(source, stop)
-        else:
-            _copy_store(source, target, stop, only_intact=intact)
-
-
-def _check_store(source: str, stop: Stop) -> None:
-    from cogradar.services.recorder.store.check import check
-
-    n = 0
-    with progress(err) as tell:
-
-        def told(run: str) -> None:
-            nonlocal n
-            n += 1
-            check_stop(stop)
-            tell(f"{shown(source)}: run {n}, {run}")
-
-        found = check(source, told)
-    for one in found:
-        say(without_cure(shown(source), one), err)
-    if found and len({one.run for one in found if one.run}) == n:
-        raise Damaged(beyond_cure(shown(source), f"{shown(source)}: is damaged"))
-    if found:
-        cure = f"`cogradar store copy --intact {shown(source)} NEW` saves the runs that are whole"
-        raise Damaged(f"{shown(source)}: is damaged, as said above: {cure}")
-    say(f"{shown(source)}: {n} runs, all as they were written")
-
-
-def _copy_store(source: str, target: str, stop: Stop, *, only_intact: bool) -> None:
-    from cogradar.services.recorder.store.copy import copy
-
-    lost = list[Damaged]()
-    try:
-        counts = copy(source, target, lambda *_: check_stop(stop), only_intact=only_intact, left_out=lost.append)
-    except Damaged as error:
-        if not only_intact:
-            raise
-        raise Damaged(beyond_cure(shown(source), without_cure(shown(source), error))) from None
-    for one in lost:
-        say(f"left out: {without_cure(shown(source), one)}", err)
-    say(f"{shown(target)}: {counts['run']} runs, {counts['message']} messages, {sum(counts.values())} rows in all")

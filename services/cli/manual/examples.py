@@ -66,7 +66,14 @@ COMMANDS = {
         ),
     ),
     "report": Shown(STUDY, ("report paper.db", "report paper.db --strategy power-aware --json")),
-    "store": Shown(STUDY, ("store check runs.db", "store copy runs.db postgresql://radar@db.example/radar")),
+    "store": Shown(
+        STUDY,
+        (
+            "store check runs.db",
+            "store copy runs.db postgresql://radar@db.example/radar",
+            "store delete runs.db paper-0123456789ab",
+        ),
+    ),
     "certs": Shown(SECURE, ("certs init", "certs issue planner.a", "certs issue router --host radar.example")),
     "service": Shown(
         SYSTEM,
