@@ -147,9 +147,15 @@ class Runs:
 
 
 def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:
-    """Runs of the metrics service behind the Zenoh router at an endpoint; one session per question."""
+    """Runs of the metrics service behind the Zenoh router at an endpoint; one session per question.
+
+    Raises BadInput for what is no endpoint; whether somebody answers there is seen with the first question.
+    """
+    from cogradar.services.certs.endpoints import fault_of
     from cogradar.services.metrics.client import ask_service
 
+    if fault := fault_of(endpoint):
+        raise BadInput(f"endpoint: {fault}")
     runs = Runs(partial(ask_service, endpoint), source=endpoint)
     runs._endpoint = endpoint
     return runs

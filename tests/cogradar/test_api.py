@@ -170,3 +170,9 @@ def test_help_begins_with_the_main_calls_and_is_short_enough_to_read() -> None:
 def test_nobody_to_ask_is_said() -> None:
     with pytest.raises(cogradar.NoMetrics, match="no metrics service"):
         cogradar.connect("tcp/127.0.0.1:1").runs()
+
+
+@pytest.mark.parametrize("endpoint", ["foo", "tcp/foo", "tcp/127.0.0.1:99999", ""])
+def test_what_can_be_no_endpoint_is_refused_at_once(endpoint: str) -> None:
+    with pytest.raises(cogradar.BadInput, match=f"^endpoint: '{endpoint}' is no endpoint, such as tcp/127.0.0.1:7447"):
+        cogradar.connect(endpoint)
