@@ -25,7 +25,7 @@ from cogradar.services.recorder.store.address import RECORDED, is_server, record
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 from cogradar.shared.protocol.topics import FRONT_END_NAME
 from cogradar.shared.scenario.plugins.kinds import FRONT_END
-from cogradar.shared.scenario.plugins.names import OWN, PluginError, PluginRefused
+from cogradar.shared.scenario.plugins.names import OWN, PluginError, PluginRefused, without_name
 from cogradar.shared.scenario.plugins.resolver import Caller, resolve
 from cogradar.shared.scenario.plugins.sources import settled as settled_name
 from cogradar.shared.scenario.radar_config import RadarConfig
@@ -146,7 +146,7 @@ def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
         must = f"must be {SIMULATED}, {RECORDED}FILE[#RUN], {ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
-        raise BadInput(f"{name}: {must if is_none else error}") from None
+        raise BadInput(f"{name}: {must if is_none else without_name(error, name)}") from None
     return made, source
 
 

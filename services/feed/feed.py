@@ -16,7 +16,7 @@ from cogradar.services.feed.sapient.node import Sapient
 from cogradar.services.feed.sapient.tasking import Command
 from cogradar.services.feed.transport import Transport, transport
 from cogradar.shared.scenario.plugins.kinds import FEED
-from cogradar.shared.scenario.plugins.names import PluginError, PluginFailed, PluginRefused, names_of
+from cogradar.shared.scenario.plugins.names import PluginError, PluginFailed, PluginRefused, names_of, without_name
 from cogradar.shared.scenario.plugins.resolver import Caller, resolve
 from cogradar.shared.scenario.plugins.sources import settled
 
@@ -71,7 +71,8 @@ def kind_of(name: str) -> Kind:
         found: Kind = resolve(FEED, settled(FEED, name, Path()))
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
-        raise BadInput(f"--to {name}: {f'must be one of {names_of(FORMATS)}' if is_none else error}") from None
+        said = f"must be one of {names_of(FORMATS)}" if is_none else without_name(error, name)
+        raise BadInput(f"--to {name}: {said}") from None
     return found
 
 

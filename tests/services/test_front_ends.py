@@ -210,6 +210,13 @@ def test_a_file_that_raises_is_refused(tmp_path: Path) -> None:
         open_front_end(f"{file}:Receiver")
 
 
+def test_a_name_that_a_file_has_not_is_said_once(tmp_path: Path) -> None:
+    file = tmp_path / "receiver.py"
+    file.write_text("")
+    with pytest.raises(BadInput, match=rf"^{file}:Nope: there is no Nope in {file}$"):
+        open_front_end(f"{file}:Nope")
+
+
 def test_a_recording_is_settled_with_its_run(recording: tuple[str, str, str]) -> None:
     file, run, _ = recording
     assert settled(f"recorded:{file}") == f"recorded:{file}#{run}"

@@ -79,6 +79,11 @@ def short(name: str) -> str:
     return Name.of(name).short if is_own(name) else name
 
 
+def without_name(error: Exception, name: str) -> str:
+    """What is wrong with a thing of this name, which the line that quotes it says already."""
+    return str(error).removeprefix(f"{name}: ").removeprefix(f"{name.rpartition('/')[2]}: ")
+
+
 def names_of(built_in: Collection[str]) -> str:
     """What may be given, in words."""
     return f"{', '.join(built_in)}{', or ' if built_in else ''}your own: {OWN}"
