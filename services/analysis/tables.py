@@ -9,6 +9,7 @@ from string import Formatter
 from typing import Any
 
 from cogradar.services.errors import BadInput
+from cogradar.shared.scenario.faults import no_text
 
 Row = Mapping[str, Any]
 LONG = 1e5  # from here on a number with decimals is 5.7e17: an estimate that is lost may be as far off as it likes
@@ -72,8 +73,10 @@ def check_page(path: Path, names: Sequence[str]) -> str:
     """Text of a page that has the markers `<!-- NAME -->` and `<!-- /NAME -->` of each name. Raises BadInput."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: {no_text(error)}") from None
     for name in names:
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
         if end not in text.partition(begin)[2]:

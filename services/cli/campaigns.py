@@ -32,7 +32,6 @@ from cogradar.services.cli.console import (
     print_csv,
     print_json,
     say,
-    with_rule,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyFilter
 from cogradar.services.errors import BadInput, Damaged, RunFailed, check_stop
@@ -91,7 +90,7 @@ def campaign(
     from cogradar.services.campaigns import campaign as campaigns
 
     with command() as stop:
-        loaded = as_played(load(scenario, with_rule(settings, rule)), Start.front_end)
+        loaded = as_played(load(scenario, settings or (), rule=rule), Start.front_end)
         asked = campaigns.Campaign(
             (loaded,), campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )

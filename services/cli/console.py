@@ -115,11 +115,6 @@ def number_of_dwells(text: str) -> int:
     return int(text)
 
 
-def with_rule(settings: list[str] | None, rule: str | None) -> list[str]:
-    """The settings of `--set`, and after them the one of `--rule`."""
-    return [*(settings or ()), *([f"radar.planner.rule={rule}"] if rule else ())]
-
-
 ConnectOption = Annotated[
     str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Endpoint of a Zenoh router.")
 ]

@@ -32,7 +32,6 @@ from cogradar.services.cli.console import (
     print_json,
     rate_of,
     say,
-    with_rule,
 )
 from cogradar.services.cli.plugins.options import PluginsOption, StrategyOption
 from cogradar.services.errors import BadInput
@@ -100,7 +99,7 @@ def run(
     """Play one run and print its results, on this machine or on running services."""
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
-        loaded, ignores_world = _loaded(scenario, with_rule(settings, rule), may_know=in_process), False
+        loaded, ignores_world = _loaded(scenario, settings, rule, may_know=in_process), False
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
@@ -151,11 +150,11 @@ def _shown_if_stopped(show: Callable[[Result], None]) -> Iterator[None]:
         raise
 
 
-def _loaded(scenario: str, settings: list[str], *, may_know: bool) -> Scenario:
+def _loaded(scenario: str, settings: list[str] | None, rule: str | None, *, may_know: bool) -> Scenario:
     """The scenario; a rule that knows the truth is refused, unless it may, and said to do so."""
-    loaded = load(scenario, settings)
-    if may_know and (rule := loaded.radar.planner.rule) in TRUE_RULES:
-        say(f"radar.planner.rule = {marked(rule, rule)}", err)
+    loaded = load(scenario, settings or (), rule=rule)
+    if may_know and (played := loaded.radar.planner.rule) in TRUE_RULES:
+        say(f"radar.planner.rule = {marked(played, played)}", err)
     return loaded if may_know else untold(loaded)
 
 

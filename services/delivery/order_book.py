@@ -36,6 +36,7 @@ from cogradar.shared.protocol.orders import (
 )
 from cogradar.shared.protocol.words.orders import text_of
 from cogradar.shared.scenario.combinations import check_combination
+from cogradar.shared.scenario.faults import listed
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import bin_centres
 
@@ -171,9 +172,8 @@ class OrderBook:
         is_there = is_later or action.track in tracks if self._radar.is_unknown else action.track < announced
         if not is_there:
             there = sorted(tracks) if self._radar.is_unknown else range(announced or 0)
-            more = f" and {len(there) - NAMED} more" if len(there) > NAMED else ""
-            named = ", ".join(f"{track + 1}" for track in there[:NAMED])
-            raise Refused(f"there is no track {action.track + 1}; those that are there: {named or 'none'}{more}")
+            named = listed([f"{track + 1}" for track in there], NAMED)
+            raise Refused(f"there is no track {action.track + 1}; those that are there: {named or 'none'}")
 
     def _check_together(self, new: Order) -> None:
         """At each dwell with other orders: settings are a supported combination, there are beams where some are asked

@@ -20,6 +20,7 @@ from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, Scan
 from cogradar.shared.protocol.recovery import Handover, History, NoPlans
 from cogradar.shared.protocol.slots import may_plan
+from cogradar.shared.scenario.faults import listed
 from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.tables import TRUE_RULES
@@ -254,8 +255,7 @@ class PlannerCore:
     def _said_late(self, name: str) -> str:
         """Which workers are suspended as they brought no plans, all requests together; "": none."""
         late = sorted(self._late.get(name, set()) & self._suspended.get(name, {}).keys())
-        more = f" and {len(late) - NAMED} more" if len(late) > NAMED else ""
-        return f"{', '.join(late[:NAMED])}{more}: no plans; others take their tracks" if late else ""
+        return f"{listed(late, NAMED)}: no plans; others take their tracks" if late else ""
 
     def _tell_late(self, name: str) -> Sequence[Message]:
         """Let the recorder say what the run waits for, or has waited for."""

@@ -30,6 +30,7 @@ from cogradar.shared.protocol.messages import (
 from cogradar.shared.protocol.orders import Order
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.slots import may_plan
+from cogradar.shared.scenario.faults import listed
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.wire.runner import TICK_S
@@ -155,8 +156,8 @@ class RecordedRun:
         if not self._overdue or not self._is_awaited():
             return False
         able = [name for name in planners if any(may_plan(name, track) for track in self._overdue)]
-        tracks = _listed([str(track + 1) for track in self._overdue])
-        return self.hinder("", f"no plans of track {tracks}; planners present: {_listed(able) or 'none'}")
+        tracks = listed([str(track + 1) for track in self._overdue], NAMED)
+        return self.hinder("", f"no plans of track {tracks}; planners present: {listed(able, NAMED) or 'none'}")
 
     def _is_awaited(self) -> bool:
         """Whether there were plans, or the first one is awaited for so long that no planner is still loading."""
@@ -380,9 +381,3 @@ class RecordedRun:
     def _is_planned(self, dwell: _Dwell) -> bool:
         is_all_planned = len(dwell.plans) >= len(dwell.tracks) and dwell.tracks <= dwell.plans
         return dwell.t is not None and is_all_planned
-
-
-def _listed(names: Sequence[str]) -> str:
-    """The first ones, and how many more there are."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more

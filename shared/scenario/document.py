@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from cogradar.shared.scenario.faults import MAX_EXPLAINED, Loc, printable
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, Loc, no_text, printable
 from cogradar.shared.scenario.limits import MAX_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
@@ -100,11 +100,14 @@ class Document:
                 below[key] = value
                 self._give((*loc, key), source)
 
-    def set(self, setting: str, option: str = "--set") -> None:
-        """Put one setting, KEY=VALUE, which `option` gave, over what is there. Raises ScenarioError."""
+    def set(self, setting: str, option: str = "--set", given: str | None = None) -> None:
+        """Put one setting, KEY=VALUE, over what is there, which `option` gave, in other words if these are `given`.
+
+        Raises ScenarioError.
+        """
         key, equals, text = setting.partition("=")
         parts = key.strip().split(".")
-        source = f"{option} {printable(setting)}"
+        source = f"{option} {printable(setting if given is None else given)}"
         if not equals or not all(parts):
             raise ScenarioError(f"{source}: {SETTING}")
         place: Any = self.tables
@@ -147,7 +150,7 @@ def read(name_or_path: str) -> Document:
         try:
             tables = _decoded(path)
         except FileNotFoundError:
-            raise ScenarioError(printable(f"{by}{wanted}: {_no_such(folder, wanted)}")) from None
+            raise ScenarioError(printable(f"{by or f'{wanted}: '}{_no_such(folder, wanted, files)}")) from None
         chain.append((path, tables))
         if "extends" not in tables:
             break
@@ -270,22 +273,27 @@ def _name_after(path: Path) -> str:
     return re.sub("[^a-z0-9]+", "-", path.stem.lower()).strip("-")[:MAX_NAME].rstrip("-")
 
 
-def _no_such(folder: Path, wanted: str) -> str:
-    """What is wrong with a name of a scenario or a file that there is not, and what was probably meant."""
+def _no_such(folder: Path, wanted: str, chain: Sequence[Path]) -> str:
+    """What is wrong with a name that no scenario or file has, and what was probably meant: no file that extends it."""
     if (path := Path(folder, wanted)).is_dir():
         return "a directory, must be a .toml file or the name of a built-in scenario"
     if path.is_symlink():
         return "a symbolic link that leads to no file"
-    files = [str(Path(wanted).with_name(file.name)) for file in Path(folder, wanted).parent.glob("*.toml")]
-    close = get_close_matches(wanted, [*built_in(), *files], n=1)
+    beside = [file for file in Path(folder, wanted).parent.glob("*.toml") if file not in chain]
+    known = [*built_in(), *(str(Path(wanted).with_name(file.name)) for file in beside)]
+    exact = [name for name in (f"{wanted}.toml", Path(wanted).stem) if name in known]
+    close = exact or get_close_matches(wanted, known, n=1)
     guess = f" (did you mean {close[0]}?)" if close else ""
     return f"no such scenario or .toml file{guess}; the built-in ones are: {', '.join(built_in())}"
 
 
 def text_of(path: Path, most: int = MAX_FILE_BYTES) -> str:
-    """The text of a file of at most so many bytes. Raises OSError, UnicodeDecodeError."""
+    """The text of a file of at most so many bytes. Raises OSError, ScenarioError."""
     if not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file") if path.exists() else FileNotFoundError
     if path.stat().st_size > most:
         raise OSError(errno.EFBIG, f"larger than {most} bytes, too large")
-    return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
+    try:
+        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
+    except UnicodeDecodeError as error:
+        raise ScenarioError(no_text(error)) from None

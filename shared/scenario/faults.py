@@ -18,6 +18,7 @@ MAX_EXPLAINED = 20  # faults of one document that have a line each; to explain o
 MAX_FURTHER = 500  # that are counted of entries after the first wrong one of a list
 MAX_SHOWN = 60  # characters of a key
 PRINTED_BITS = 13_000  # of an integer: with more than 4300 digits Python refuses to print it, or prints something else
+_SHORT = {"--rule": "radar.planner.rule"}  # options that are short for one key
 _NOUN = {
     "array": "a list",
     "boolean": "true or false",
@@ -50,7 +51,9 @@ class Fault(NamedTuple):
 
     def given_by(self, source: str) -> str:
         """The line that names `source`, a file, or a setting which may say key and value itself."""
-        is_said = source.startswith("--") and source.partition(" ")[2].startswith(f"{_dotted(self.loc)}=")
+        option, _, given = source.partition(" ")
+        key = _dotted(self.loc)
+        is_said = (source.startswith("--") and given.startswith(f"{key}=")) or _SHORT.get(option) == key
         return printable(f"{source}: {self.text if is_said else self}")
 
 
@@ -63,7 +66,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
 def faults(
     error: ValidationError, model: type[BaseModel], document: Any = None, order: Callable[[Loc], Any] | None = None
 ) -> list[Fault]:
-    """All that `model` found, of which the first MAX_EXPLAINED are explained.
+    """All that `model` found, of which the first MAX_EXPLAINED are explained, and one more, which may be the last.
 
     document : in which it was found; with it, entries of lists after the first wrong one are looked at, too
     order    : of places; None: unknown keys first
@@ -73,7 +76,7 @@ def faults(
     # A misspelt key is both missing and unknown: the unknown one is what its author must see.
     errors = sorted(found, key=lambda item: order(item["loc"]) if order else item["type"] != "extra_forbidden")
     explained: dict[Fault, None] = {}  # each alternative of a value has an error
-    while errors and len(explained) < MAX_EXPLAINED:
+    while errors and len(explained) <= MAX_EXPLAINED:
         explained.setdefault(_fault(errors.pop(0), model))
     return [*explained, *(Fault(item["loc"], " = ...", "") for item in errors)]
 
@@ -112,7 +115,7 @@ def _errors_of(value: Any, model: type[BaseModel], loc: tuple[int | str, ...]) -
 
 
 def unknown_keys(document: Any, model: type[BaseModel]) -> tuple[list[Fault], int]:
-    """The first MAX_EXPLAINED unknown keys of a document, and how many there are.
+    """The first MAX_EXPLAINED unknown keys of a document, and one more, and how many there are.
 
     They are counted without an error for each, which takes a microsecond and some memory.
     """
@@ -120,7 +123,7 @@ def unknown_keys(document: Any, model: type[BaseModel]) -> tuple[list[Fault], in
     for loc, table, known in _tables(document, _schema(model), (), model):
         unknown = [key for key in table if key not in known] if len(table.keys() - known) else []
         n += len(unknown)
-        for key in unknown[: MAX_EXPLAINED - len(found)]:
+        for key in unknown[: MAX_EXPLAINED + 1 - len(found)]:
             found.append(_unknown((*loc, str(key)), model)._replace(value=_said(table[key])))
     return found, n
 
@@ -220,6 +223,18 @@ def printable(text: str) -> str:
 def printable_lines(text: str) -> str:
     """The same of several lines: what others said may hold what moves a terminal's cursor or renames its window."""
     return "\n".join("\t".join(map(printable, line.split("\t"))) for line in text.split("\n"))
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Names with commas, the first ones of many and how many more there are: never one, which is as short to name."""
+    shown = names if len(names) <= most + 1 else names[:most]
+    return ", ".join(shown) + (f" and {len(names) - len(shown)} more" if len(names) > len(shown) else "")
+
+
+def no_text(error: UnicodeDecodeError) -> str:
+    """Where a file is no text, and the cure."""
+    line = error.object[: error.start].count(b"\n") + 1
+    return f"line {line}: byte 0x{error.object[error.start]:02x} is no UTF-8: save the file as UTF-8"
 
 
 def _key(loc: Loc) -> str:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -54,20 +55,24 @@ _LEFT_OUT = {  # what stands beside a key that no file has
 }
 
 
-def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = ()) -> Scenario:
+def load(
+    name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = (), rule: str | None = None
+) -> Scenario:
     """Read and check a scenario: the name of a built-in one, or the path of a TOML file.
 
     A file may say `extends = "paper"`: a name, or a path relative to the file; what it leaves out is as there, but
     its name is the file's. `settings` go on top, each KEY=VALUE: a dotted key, entries of a list counted from 1,
-    and a TOML value; strings need no quotes. `over` are settings of a sweep, which its errors call --over.
+    and a TOML value; strings need no quotes. `over` are settings of a sweep, which its errors call --over; `rule` is
+    the action-selection policy, of --rule.
 
     Raises ScenarioError with a one-line text that names the file or the setting, the key, the value and what is
     allowed.
     """
     document, unset = read(name_or_path), list[str]()
-    for option, setting in [*(("--set", setting) for setting in settings), *(("--over", setting) for setting in over)]:
+    given = [*((setting, "--set") for setting in settings), *((setting, "--over") for setting in over)]
+    for setting in [*given, *([(f"radar.planner.rule={rule}", "--rule", rule)] if rule else [])]:
         try:
-            document.set(setting, option)
+            document.set(*setting)
         except ScenarioError as error:
             unset += error.faults
     read_in = (_read_trajectories, _read_errors, _read_recording, _settle_names)
@@ -112,7 +117,9 @@ def _settle_names(document: Document) -> list[Fault]:
             folder, file = (given_by.parent, str(given_by)) if given_by else (Path(), "")
             table[loc[-1]] = settled(kind, given, folder, file)
         except PluginRefused as error:
-            wrong.append(Fault(loc, f" = {printable(given)!r}", str(error)))
+            close = get_close_matches(given, kind.built_in, n=1)
+            meant = f"; did you mean {close[0]}?" if close else ""
+            wrong.append(Fault(loc, f" = {printable(given)!r}", f"{error}{meant}"))
     return wrong
 
 
@@ -230,7 +237,7 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = (), unrea
         found = [fault for fault in found if tuple(fault.loc) not in _TAKEN]
     found = sorted(dict.fromkeys(_as_written(fault, document) for fault in found), key=lambda fault: order(fault.loc))
     n = len(lines) + len(found)
-    lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[:MAX_EXPLAINED]]
+    lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[: MAX_EXPLAINED + 1]]
     if not lines:
         return checked
     raise _refusal(lines, n)
@@ -245,9 +252,9 @@ def _as_written(fault: Fault, document: Document) -> Fault:
 
 def _refusal(lines: Sequence[str], n: int) -> ScenarioError:
     """What is wrong: the first of n faults in a line each."""
-    more = n - MAX_EXPLAINED
+    shown = lines[:n] if n <= MAX_EXPLAINED + 1 else lines[:MAX_EXPLAINED]  # one more is as short as to count it
     first = lines[0] + (f" (and {n - 1} more)" if n > 1 else "")
-    return ScenarioError(first, [*lines[:MAX_EXPLAINED], *([f"and {more} more"] if more > 0 else [])])
+    return ScenarioError(first, [*shown, *([f"and {n - len(shown)} more"] if n > len(shown) else [])])
 
 
 def written(scenario: Scenario, files: Sequence[Path] = ()) -> str:

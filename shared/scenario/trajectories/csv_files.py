@@ -54,8 +54,8 @@ def _csv_rows(
         raise ScenarioError(printable(f"{path}: no such file")) from None
     except OSError as error:
         raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
-    except ValueError as error:
-        raise ScenarioError(printable(f"{path}: no text: {error}")) from None
+    except ValueError as error:  # also of what is no text
+        raise ScenarioError(printable(f"{path}: {error}")) from None
     if (n := text.count("\n")) > MAX_LINES:
         raise ScenarioError(printable(f"{path}: has {n} lines, must have at most {MAX_LINES}"))
     first, *rest = text.split("\n")

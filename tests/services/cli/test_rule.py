@@ -38,4 +38,4 @@ def test_an_unknown_one_is_named_beside_those_there_are(command: list[str]) -> N
     done = CliRunner().invoke(app, [*command, "--rule", "luck"])
     assert done.exit_code == 2
     words = " ".join(done.output.replace("│", " ").split())
-    assert f"luck: must be one of {', '.join(RULES)}, or your own: PATH.py:NAME" in words
+    assert f"--rule luck: must be one of {', '.join(RULES)}, or your own: PATH.py:NAME" in words

@@ -160,7 +160,7 @@ def test_chains_that_lead_nowhere(tmp_path: Path) -> None:
         **{f"long{i}": f'extends = "long{i + 1}.toml"\n' for i in range(MAX_CHAIN + 1)},
     )
     for name, wanted in (("orphan", "none-such"), ("lost", "gone/a.toml")):
-        none = f"{wanted}: no such scenario or .toml file; the built-in ones are: {known}"
+        none = f"no such scenario or .toml file; the built-in ones are: {known}"
         assert refusal(files[name]) == (f"{files[name]}: extends = '{wanted}': {none}",)
     what = "must be the name of a built-in scenario or the path of a .toml file"
     assert refusal(files["odd"]) == (f"{files['odd']}: extends = 3: {what}",)
@@ -168,6 +168,31 @@ def test_chains_that_lead_nowhere(tmp_path: Path) -> None:
     last = files[f"long{MAX_CHAIN - 1}"]
     long = f"{last}: extends = 'long{MAX_CHAIN}.toml': the chain is too long, must be at most {MAX_CHAIN} files"
     assert refusal(files["long0"]) == (long,)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "meant"),
+    [
+        ("papr", "paper"),
+        ("paper.toml", "paper"),  # a built-in one, which is no file here
+        ("base", "base.toml"),
+        ("bse.toml", "base.toml"),
+        ("mine", ""),  # its own file would extend itself
+    ],
+)
+def test_what_is_extended_and_is_not_there_is_guessed(wanted: str, meant: str, tmp_path: Path) -> None:
+    files = saved(tmp_path, mine=f'extends = "{wanted}"\n', base='extends = "paper"\n')
+    (line,) = refusal(files["mine"])
+    assert line.startswith(f"{files['mine']}: extends = '{wanted}': no such scenario or .toml file")
+    assert (f"(did you mean {meant}?)" in line) is bool(meant), line
+    assert ("did you mean" in line) is bool(meant), line
+
+
+def test_the_rule_of_an_option_is_named_as_it_was_given() -> None:
+    with pytest.raises(ScenarioError, match=r"^--rule mod: must be one of pomcp, mode, .*; did you mean mode\?$"):
+        load("smoke", rule="mod")
+    with pytest.raises(ScenarioError, match=r"^--rule no\.py:x: no\.py: No such file or directory$"):
+        load("smoke", rule="no.py:x")
 
 
 def test_settings_go_on_top_of_everything() -> None:

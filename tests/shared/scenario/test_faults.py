@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from cogradar.shared.scenario.faults import MAX_EXPLAINED, explain, printable
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, explain, listed, printable
 from cogradar.shared.scenario.files import ScenarioError, load, parse
 
 
@@ -78,11 +78,12 @@ def test_the_first_error_is_one_line_with_key_value_and_what_is_allowed(document
     assert text == expected
 
 
-@pytest.mark.parametrize("n_wrong", [1, MAX_EXPLAINED, MAX_EXPLAINED + 1, 500])
+@pytest.mark.parametrize("n_wrong", [1, MAX_EXPLAINED, MAX_EXPLAINED + 1, MAX_EXPLAINED + 2, 500])
 def test_all_errors_have_a_line_each_until_there_are_too_many(n_wrong: int) -> None:
     with pytest.raises(ScenarioError) as caught:
         parse(load("smoke").model_dump() | {f"key{i}": i for i in range(n_wrong)}, source="x.toml")
-    lines, shown = caught.value.faults, min(n_wrong, MAX_EXPLAINED)
+    lines = caught.value.faults
+    shown = n_wrong if n_wrong <= MAX_EXPLAINED + 1 else MAX_EXPLAINED  # "and 1 more" is as long as the one
     known = "unknown key, must be one of name, title, dwells, radar, world, site"
     assert lines[:shown] == tuple(f"x.toml: key{i} = {i}: {known}" for i in range(shown))
     assert lines[shown:] == ((f"and {n_wrong - shown} more",) if n_wrong > shown else ())
@@ -150,6 +151,10 @@ def test_an_unknown_key_may_be_a_misspelt_one(key: str, meant: str) -> None:
 @pytest.mark.parametrize("document", [3, [], None, "cat"])
 def test_a_document_that_is_no_table_says_so(document: Any) -> None:
     assert _explained(document) == "must be a table"
+
+
+def test_a_list_never_ends_with_one_more() -> None:
+    assert [listed(["a", "b", "c", "d"][:n], 2) for n in range(5)] == ["", "a", "a, b", "a, b, c", "a, b and 2 more"]
 
 
 def test_printable_keeps_what_a_terminal_shows_as_it_is() -> None:

@@ -246,12 +246,9 @@ def test_what_is_wrong_is_one_line_with_key_value_and_what_is_allowed(
     [
         (b"[array\nn_tx = 1", "not valid TOML: Expected ']' at the end of a table declaration (at line 1, column 7)"),
         (b"x = " + b"[" * 5000 + b"]" * 5000, "not valid TOML: nested too deeply"),
-        (
-            b"\x7fELF\x00\xff\xfe",
-            "not valid TOML: 'utf-8' codec can't decode byte 0xff in position 5: invalid start byte",
-        ),
+        (b"\x7fELF\x00\n\xff\xfe", "line 2: byte 0xff is no UTF-8: save the file as UTF-8"),
         (b"", 'empty; begin with extends = "paper", or see `scenarios --show paper`'),
-        (b"\xff\xfen\x00", "not valid TOML: 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
+        (b"\xff\xfen\x00", "line 1: byte 0xff is no UTF-8: save the file as UTF-8"),
         (b"#" * (2**22 + 1), "larger than 4194304 bytes, too large"),
     ],
 )
