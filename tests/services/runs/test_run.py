@@ -253,7 +253,7 @@ def _snapshots_from(path: str, k: int) -> list[int]:
 
 @pytest.mark.zenoh
 def test_a_process_that_keeps_dying_ends_the_run_with_its_name(process_names: Callable[[], list[str]]) -> None:
-    with pytest.raises(RunFailed, match=r"allocator-0 ended unexpectedly.*after 5 restarts within 60 s"):
+    with pytest.raises(RunFailed, match=r"allocator-0 ended unexpectedly.*after 5 restarts of it within 60 s"):
         _over_zenoh(_start(dwells=100_000), report=lambda _: _signal("allocator", signal.SIGKILL))
     assert process_names() == []
 

@@ -94,7 +94,7 @@ def test_every_fault_has_its_line_in_the_order_of_the_file(tmp_path: Path) -> No
     file = tmp_path / "bad.toml"
     file.write_text("""
 extends = "paper"
-nmae = "x"
+naem = "x"
 [[world.targets]]
 state = [60.0, 0.2, 7.5, 0.1]
 bogus = 1
@@ -113,7 +113,7 @@ n_tx = 0
         load(str(file), ["radar.array.n_rx=0", "dwells=0"])
     said = [re.match("(?:--set |[^:]*: )([^:=]*[^ :=])", line)[1] for line in caught.value.faults]  # type: ignore[index]
     assert said == [
-        "nmae",
+        "naem",
         "world.targets #1, bogus",
         "world.targets #1, turns #1, g",
         "world.targets #1, turns #2, to_s",
