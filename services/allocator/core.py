@@ -23,8 +23,8 @@ from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused, 
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
-# When an answer is due in real time, in periods: after its dwell's scan, or the first plan if that was missed; or after
-# the last waveform, the second one while no plan comes at all.
+# When an answer is due in real time, in periods: after its dwell's scan, or the first plan if that was missed. Without
+# either, after the last waveform, the second one while no plan comes at all.
 AFTER_SCAN, AFTER_PLAN, AFTER_WAVEFORM, AFTER_COASTING = 0.85, 0.5, 1.5, 1.0
 log = logging.getLogger(__name__)
 
