@@ -76,19 +76,20 @@ screenshots: setup ## draw docs/figures/page-* (pictures, and ten seconds with a
 # An interrupted simulation goes on where it was. After a change of the program: SIMULATED=build/new.json
 SIMULATED := build/simulated.json
 nightly: setup ## what takes too long for every change: the nightly tests, make chaos, a million simulated schedules
+	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin cogradar
 	$(BIN)/python -m pytest -m "nightly and not (docker or netns)" -o faulthandler_timeout=3600 $(ARGS)
 	docker info >/dev/null && $(BIN)/python -m pytest -m "nightly and (docker or netns)" tests/containers
 	$(MAKE) chaos
 	@mkdir -p $(dir $(SIMULATED))
 	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)
 
-# Tests and studies are for Linux: they stop processes by signals, and read what they used.
-lint: setup ## style, types (also as on macOS and Windows), import rules, and what is published for other languages
+# Tests and studies are for Linux: they stop processes by signals, and read what they used. Windows lacks nearly all that
+# macOS does; as there, types are checked at night: each check takes a minute of processor time.
+lint: setup ## style, types (also as on Windows), import rules, and what is published for other languages
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/codespell
 	$(BIN)/mypy
-	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin cogradar
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 cogradar
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m tests.contract
