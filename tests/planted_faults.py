@@ -309,12 +309,12 @@ MUTANTS = (
         missed="it does harm only to a process that missed each checkpoint of what it passes on",
     ),
     Mutant(
-        "of the epochs of a run the present one alone is told",
-        JOURNAL,
-        "        if len(known) > MAX_LEADS:\n",
-        "        known = known[-1:]\n        if len(known) > MAX_LEADS:\n",
+        "what was made under an epoch that the journal does not know is taken",
+        EPOCHS,
+        "is_known = any(lead.epoch == epoch for lead in leads)",
+        "is_known = True",
         only=with_commands_and_a_journal_that_is_put_back,
-        missed="a process must be away while two recorders begin; tests/services/runs/test_rewind.py has such a run",
+        missed="an older copy must be put back, and the original later; tests/services/runs/test_rewind.py has such runs",
     ),
     Mutant(
         "a recorder first says how far its runs are when it is asked",

@@ -23,9 +23,9 @@ from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused, 
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
-# When an answer is due in real time, in periods: after its dwell's scan, or the first plan if that was missed. Without
-# either, after the last waveform, the second one while no plan comes at all.
-AFTER_SCAN, AFTER_PLAN, AFTER_WAVEFORM, AFTER_COASTING = 0.85, 0.5, 1.5, 1.0
+# When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
+# waveform, the second one while no plan comes at all.
+AFTER_FIRST, AFTER_WAVEFORM, AFTER_COASTING = 0.5, 1.5, 1.0
 log = logging.getLogger(__name__)
 
 
@@ -44,7 +44,6 @@ class _Run:
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
     orders: Sequence[Order] = ()  # as the last checkpoint says
     held: set[int] = field(default_factory=set)  # dwells that are complete, too far ahead of the journal
-    scan_k: int = -1  # dwell of the last scan that was of use
     due_s: float | None = None  # when the answer is due, whatever is missing,
     wait_s: float | None = None  # ... or how long after the next tick, which tells the time
     failed: NoWaveforms | None = None  # its strategy or objective did
@@ -128,7 +127,9 @@ class AllocatorCore:
             case History(topic="plan") if event.run in self._runs:
                 return _given(self._runs[event.run], event)
             case Scan() if event.run in self._runs:
-                return _note(self._runs[event.run], event)
+                run = self._runs[event.run]
+                run.reach(event.k)
+                return _next(run, event.k, is_first=True) if run.tracks.take(event, run.first_open) else ()
             case Plan() | Scan():
                 self._pending.add(event)
             case Tick():
@@ -159,7 +160,7 @@ class AllocatorCore:
             run.forget(checkpoint.k)
             run.resend.acknowledge(checkpoint)
             run.orders = checkpoint.orders
-            return tuple(answer for k in sorted(run.held) for answer in _next(run, k, None))
+            return tuple(answer for k in sorted(run.held) for answer in _next(run, k, is_first=False))
         radar, pacing = RadarConfig.model_validate(checkpoint.radar), pacing_at(checkpoint.rate_hz)
         resend, tracks = ResendBuffer(checkpoint.k), tracks_of(radar, pacing)
         run = _Run(radar, checkpoint.strategy, resend, pacing, tracks, checkpoint.k, self._name)
@@ -192,15 +193,6 @@ def _given(run: _Run, history: History) -> Sequence[Message]:
     return [answer for plan in plans for answer in _collect(run, plan)]
 
 
-def _note(run: _Run, scan: Scan) -> Sequence[Message]:
-    """Take what a scan says of its dwell: the time, and the tracks that there are."""
-    run.reach(scan.k)
-    if not run.tracks.take(scan, run.first_open):
-        return ()
-    run.scan_k = scan.k
-    return _next(run, scan.k, AFTER_SCAN)
-
-
 def _collect(run: _Run, plan: Plan) -> Sequence[Message]:
     """Take a plan; the waveform if it was the last one missing."""
     check_plan(plan, run.radar)
@@ -208,16 +200,16 @@ def _collect(run: _Run, plan: Plan) -> Sequence[Message]:
     if plan.target not in run.newest or plan.k > run.newest[plan.target].k:
         run.newest[plan.target] = plan
     first, plans = run.first_open, run.plans
-    if run.scan_k < run.k == plan.k + 1 <= first:  # just too late: the next one, a period after it, is to be awaited
+    if plan.k == run.k - 1 < first:  # just too late: the next one comes a period after it, and is to be awaited
         run.expect(run.k, AFTER_WAVEFORM)
     if not first <= plan.k < first + MAX_DWELLS or plan.target in plans[plan.k]:
         return ()
     plans[plan.k][plan.target] = plan
-    return _next(run, plan.k, AFTER_PLAN if len(plans[plan.k]) == 1 and plan.k != run.scan_k else None)
+    return _next(run, plan.k, is_first=len(plans[plan.k]) == 1)
 
 
-def _next(run: _Run, k: int, periods: float | None) -> Sequence[Message]:
-    """The waveform if all of dwell k is there; else it is due so many periods from now, None: as it was."""
+def _next(run: _Run, k: int, *, is_first: bool) -> Sequence[Message]:
+    """The waveform if all of dwell k is there; after the first that comes of it, a time until it is due."""
     ids, plans = run.tracks.ids(k), run.plans[k]
     if ids is not None and len(plans) >= len(ids) and plans.keys() >= ids:
         if not run.pacing.may_answer(k - run.resend.k):
@@ -225,8 +217,8 @@ def _next(run: _Run, k: int, periods: float | None) -> Sequence[Message]:
             return ()
         run.held.discard(k)
         return _answer(run, k)
-    if periods is not None:
-        run.expect(k, periods)
+    if is_first:
+        run.expect(k, AFTER_FIRST)
     return ()
 
 

@@ -14,19 +14,14 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 
 
 class AnnouncedTracks:
-    """A fixed roster: its tracks are there from the first dwell to the last. In real time a scan says the time."""
+    """A fixed roster: its tracks are there from the first dwell to the last, and no scan says more."""
 
     def __init__(self, radar: RadarConfig, pacing: Pacing) -> None:
         self._ids, self._pacing = frozenset(range(radar.announced)), pacing
-        self._newest_k, self._is_tracking = -1, False
 
-    def take(self, scan: Scan, first_k: int) -> bool:
-        """Whether a scan is of use: the first one of its dwell, unless there is nothing to extrapolate yet."""
-        is_new = max(first_k, self._newest_k + 1) <= scan.k < first_k + MAX_DWELLS
-        if not (is_new and self._is_tracking and self._pacing.has_deadlines):
-            return False
-        self._newest_k = scan.k
-        return True
+    def take(self, _scan: Scan, _first_k: int) -> bool:
+        """Whether a scan is of use: none is."""
+        return False
 
     def note(self, plan: Plan) -> None:
         """A plan has come. It says nothing new."""
@@ -47,7 +42,6 @@ class AnnouncedTracks:
 
     def sent(self, waveform: Waveform) -> Waveform:
         """A waveform as it is to be sent: all know the roster."""
-        self._is_tracking = waveform.tracking
         return waveform
 
     def forget(self, before_k: int) -> None:

@@ -12,7 +12,7 @@ from cogradar.shared.wire.pool.live_names import LEASE_S, LEAVE_AFTER_S
 MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
 MAX_WAIT_S = 1.0  # real time: how long a track waits for a missing scan while newer ones come
 REST_S = 2.0  # real time: so long, or a period, the rest of a dwell is awaited after its first message
-SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for 0.85
+SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 REBUILD_SHARE = 0.1  # of a period, between two dwells, for tracks that are rebuilt while the others are planned for
 SNAPSHOT_S = 1.0  # real time: from a snapshot of a track to the next; a takeover replays no more than about twice that
 SNAPSHOT_RATE = 100_000  # bytes a second at most for the snapshots of one track

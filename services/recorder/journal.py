@@ -239,7 +239,7 @@ class Journal(Database):
 
     def leads(self, run: str, revision: int) -> list[Lead]:
         """The last epochs of a run, and the revision with which each began; of this recorder's own the present one,
-        unless it leads the run already. Of what was told before the first of them nothing is known. Raises Unreadable.
+        unless it leads the run already. Raises Unreadable.
         """
         row = self._row(run)
         try:
@@ -248,9 +248,7 @@ class Journal(Database):
             raise Unreadable(" ".join(str(error).split())[:300]) from None
         if not known or known[-1].epoch != self.epoch:
             known.append(Lead(epoch=self.epoch, revision=revision))
-        if len(known) > MAX_LEADS:
-            known = [known[-MAX_LEADS].model_copy(update={"revision": 0}), *known[1 - MAX_LEADS :]]
-        return known
+        return known[-MAX_LEADS:]
 
     def set_leads(self, run: str, leads: Sequence[Lead]) -> None:
         """Record the last epochs of a run. Raises Damaged."""

@@ -122,8 +122,12 @@ class Epochs:
 
 
 def _kept(leads: Sequence[Lead], epoch: int) -> int:
-    """Up to which revision the journal has what was told in an epoch, by the recorders that led the run after it."""
-    return min((lead.revision for lead in leads if lead.epoch > epoch), default=MAX_EPOCH)
+    """Up to which revision the journal has what was told in an epoch, by the recorders that led the run after it.
+
+    Nothing of an epoch that it does not know: another copy of it was led then, or it is longer ago than is kept.
+    """
+    is_known = any(lead.epoch == epoch for lead in leads)
+    return min((lead.revision for lead in leads if lead.epoch > epoch), default=MAX_EPOCH) if is_known else 0
 
 
 def _unheard(run: str, epoch: int) -> str:

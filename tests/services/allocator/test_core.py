@@ -6,7 +6,7 @@ from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import unchanged
 from cogradar.services.allocator.waveform import coasted, waveform
 from cogradar.services.delivery.resend import MAX_DWELLS
-from cogradar.shared.protocol.events import Event, Rewind, Tick
+from cogradar.shared.protocol.events import Rewind, Tick
 from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform
 from cogradar.shared.scenario.radar_config import Strategy
@@ -149,22 +149,6 @@ def test_in_real_time_plans_are_awaited_again_though_some_were_just_too_late() -
     assert late
     assert max(late) < 10
     assert [waveform.k for waveform in found][-5:] == [15, 16, 17, 18, 19]
-
-
-def test_in_real_time_each_waveform_is_there_before_the_next_dwell_whatever_planners_do() -> None:
-    """Counted from its scan: planners that are slow, away, or late by a dwell never delay it."""
-    core, start = AllocatorCore(), smoke_start(dwells=100).model_copy(update={"rate_hz": 10.0})
-    core.handle(checkpoint(start))
-    sent, plans = dict[int, float](), iter([0, 90, 40, 99, 160, 5, None, None, 60, 130, 70, 0])  # [ms] after their scan
-    waiting = [(100 * k + late, target, k) for k, late in enumerate(plans) if late is not None for target in range(2)]
-    for ms in range(1200):
-        events: list[Event] = [sample(Scan, run="r", k=ms // 100, t=1)] if ms % 100 == 0 else []
-        events += [_plan(target, k=k, bin_=3 + 6 * target) for at, target, k in waiting if at == ms]
-        for answer in [one for event in [*events, Tick(ms / 1000)] for one in core.handle(event)]:
-            assert isinstance(answer, Waveform)
-            sent[answer.k] = ms - 100.0 * answer.k
-    assert [*sent] == [*range(12)]
-    assert max(sent.values()) <= 86.0  # milliseconds of a period of 100
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))

@@ -87,6 +87,30 @@ def test_a_rewind_and_then_the_loss_of_everybody_else(undisturbed: Undisturbed) 
     assert network.scores() == undisturbed[1]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(
+    seed: int, undisturbed: Undisturbed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recorder goes on for a while on a copy; the original, which then goes on, has more dwells and no order."""
+    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", 2)
+    monkeypatch.setattr(core, "CHECKPOINT_DWELLS", 1)
+    network = FaultyNetwork(START, 2, np.random.default_rng(seed))
+    _step_until(network, lambda: _acknowledged(network) >= 12)
+    copy, original = Store(_copy(network)), network.store
+    _step_until(network, lambda: _acknowledged(network) >= 30)
+    network.kill("recorder-0")
+    network.store = copy
+    network.start("recorder-0")
+    _step_until(network, lambda: 14 <= _acknowledged(network) < 20)
+    network.publish("operator", Command(run=START.run, id="0f" * 16, by="operator", action=PowerLimit(share=0.3)))
+    network.processes.pop("operator")
+    _step_until(network, lambda: _acknowledged(network) >= 24)
+    network.kill("recorder-0")
+    network.store = original
+    network.start("recorder-0")
+    assert play(network, {}) == undisturbed[0]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_who_was_away_while_a_recorder_began_twice_forgets_what_the_journal_lost(
     seed: int, undisturbed: Undisturbed, monkeypatch: pytest.MonkeyPatch

@@ -18,9 +18,12 @@ from tests.samples import sample
 Leads = Sequence[Lead]
 
 
-def told(epoch: int, revision: int, *, opened: int = 0, before: Leads = (), rate_hz: float = 0.0) -> Checkpoint:
+FIRST = (Lead(epoch=5, revision=0),)
+
+
+def told(epoch: int, revision: int, *, opened: int = 0, before: Leads = FIRST, rate_hz: float = 0.0) -> Checkpoint:
     """A checkpoint of a recorder, which began with revision `opened`, after others."""
-    leads = [*before, Lead(epoch=epoch, revision=opened)]
+    leads = [*(lead for lead in before if lead.epoch < epoch), Lead(epoch=epoch, revision=opened)]
     found = sample(Checkpoint, epoch=epoch, revision=revision, leads=leads, rate_hz=rate_hz)
     assert isinstance(found, Checkpoint)
     return found
@@ -130,6 +133,14 @@ def test_a_journal_that_was_put_back_before_its_last_recorder_began_is_noticed(s
     """It has more now than it was put back to. Who was away for both hears of both."""
     assert (heard(PUT_BACK).fault(sample(Scan), stamp) == "") is is_heeded
     assert heard(told(*stamp)).voids(PUT_BACK) is not is_heeded
+
+
+def test_a_journal_that_was_led_beside_another_copy_has_nothing_of_it() -> None:
+    """Whatever its own recorder was told of since: of an epoch that it does not know, nothing is in it."""
+    original = told(7, 30, opened=30)
+    assert heard(told(6, 20, opened=8)).voids(original)
+    assert heard(original).fault(sample(Scan), Stamp(6, 20))
+    assert not heard(told(5, 30)).voids(original)
 
 
 def test_in_lockstep_an_older_checkpoint_of_the_epoch_is_dropped() -> None:

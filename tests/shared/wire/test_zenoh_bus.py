@@ -78,10 +78,9 @@ def test_what_is_made_of_a_journal_that_is_no_more_is_dropped(connect: Connect) 
 
     first, second = connect(Role.RECORDER, "one"), connect(Role.RECORDER, "two")
     emulator, planner = connect(Role.EMULATOR, "e"), connect(Role.PLANNER, "p")
-    before, after = (
-        sample(Checkpoint, epoch=e, revision=r, leads=[Lead(epoch=e, revision=r)], rate_hz=0.0)
-        for e, r in ((5, 12), (6, 11))
-    )
+    leads = [Lead(epoch=5, revision=0), Lead(epoch=6, revision=11)]
+    before = sample(Checkpoint, epoch=5, revision=12, leads=leads[:1], rate_hz=0.0)
+    after = sample(Checkpoint, epoch=6, revision=11, leads=leads, rate_hz=0.0)
     deaf = [second, planner]
     while deaf:  # what is sent before the router knows of a reader never comes
         first.publish(before)
