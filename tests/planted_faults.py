@@ -314,7 +314,7 @@ MUTANTS = (
         "is_known = any(lead.epoch == epoch for lead in leads)",
         "is_known = True",
         only=with_commands_and_a_journal_that_is_put_back,
-        missed="an older copy must be put back, and the original later; tests/services/runs/test_rewind.py has such runs",
+        missed="the original must come back after an older copy; tests/services/runs/test_rewind.py has such runs",
     ),
     Mutant(
         "a recorder first says how far its runs are when it is asked",
