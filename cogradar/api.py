@@ -154,7 +154,7 @@ def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:
     from cogradar.services.certs.endpoints import fault_of
     from cogradar.services.metrics.client import ask_service
 
-    if fault := fault_of(endpoint):
+    if fault := fault_of(str(endpoint)):
         raise BadInput(f"endpoint: {fault}")
     runs = Runs(partial(ask_service, endpoint), source=endpoint)
     runs._endpoint = endpoint

@@ -107,7 +107,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
 
 def _is_shipped(experiment: Experiment) -> bool:
     """Whether the scenario is what its name means on a command line, and its runs end by themselves."""
-    if experiment.has_no_end:
+    if experiment.was_ended:
         return False
     try:
         shipped = load(experiment.scenario)

@@ -25,10 +25,10 @@ from cogradar.services.cli.console import (
     command,
     err,
     filters,
-    new_file,
     new_folder,
     newest_store,
     out,
+    page,
     print_csv,
     print_json,
     say,
@@ -64,7 +64,7 @@ StrategiesOption = Annotated[
 FirstSeedOption = Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")]
 WorkersOption = Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")]
 IntoOption = Annotated[
-    str | None, typer.Option(metavar="PAGE", callback=new_file, help="Markdown page: tables between its markers.")
+    str | None, typer.Option(metavar="PAGE", callback=page, help="Markdown page: tables between its markers.")
 ]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")]
 

@@ -77,6 +77,14 @@ def new_file(given: str | Path | None) -> str | Path | None:
     return given
 
 
+def page(given: str | None) -> str | None:
+    """A page to write into. Raises BadParameter unless it is there."""
+    new_file(given)
+    if given is not None and not Path(given).is_file():
+        raise typer.BadParameter(f"{given}: there is no such file: name a page with the markers of the tables")
+    return given
+
+
 def new_folder(given: str | None) -> str | None:
     """A folder to write into, which may not be there yet. Raises BadParameter for one that cannot be."""
     if given is not None and (fault := fault_of_folder(given)):

@@ -272,6 +272,8 @@ def run_caption(result: Result) -> str:
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['t']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
     ]
+    if run["dwells"] is not None and run["t"] < run["dwells"]:
+        lines.append(f"{run['reason'] or 'ended'} at dwell {run['t']} of {run['dwells']}")
     is_known = result.picture.get("gospa_km") is not None
     if any(row["p_d"] is not None for row in result.targets):
         lines.append(

@@ -38,9 +38,9 @@ class Experiment:
         return self.complete[0]["n_track"] is None
 
     @property
-    def has_no_end(self) -> bool:
-        """Whether commands ended the runs: the number of dwells does not say how to repeat them."""
-        return bool(self.complete[0]["dwells"] == NO_END)
+    def was_ended(self) -> bool:
+        """Whether runs ended before their last dwell: the number of dwells does not say how to repeat them."""
+        return any(run["dwells"] != self.dwells for run in self.complete)
 
     @property
     def strategies(self) -> list[str]:
@@ -99,8 +99,8 @@ def experiments(store: Store, selection: Selection, left_out: Callable[[Damaged]
 
 
 def _dwells(run: Run) -> int:
-    """The number of dwells of a run; of one that a command has ended, those that it has."""
-    return int(run["t"] if run["dwells"] == NO_END else run["dwells"])
+    """The number of dwells of a run; of one that was ended before its last, those that it has."""
+    return int(run["t"] if run["status"] == "complete" else run["dwells"])
 
 
 def _obstacle(run: Run) -> str:

@@ -28,6 +28,7 @@ from cogradar.shared.wire.session import CONFIG_VARIABLE, free_port
 SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
 MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
+_NAMES = {one.value: one.name for one in signal.Signals}
 MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of one process; more is no accident
 
 
@@ -151,7 +152,7 @@ class Launcher:
         self._processes[name].send_signal(number)
 
     def check(self) -> None:
-        """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
+        """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if one ends too often."""
         check_stop(self._stop)
         for name, process in self._processes.items():
             if process.poll() is not None:
@@ -165,7 +166,7 @@ class Launcher:
             self._processes[victim].kill()
 
     def _restart(self, name: str, code: int) -> None:
-        how = f"exit code {code}" if code >= 0 else f"signal {-code}, {signal.Signals(-code).name}"
+        how = f"exit code {code}" if code >= 0 else f"signal {-code}, {_NAMES.get(-code, 'of its own')}"
         if code == BadInput.exit_code:  # it would be refused again: a store that somebody else took meanwhile
             raise BadInput(self._lines(name)[-1] if self._lines(name) else f"{name}: refused")
         if name in self._killed:
@@ -184,7 +185,7 @@ class Launcher:
         if len(before) == MAX_RESTARTS:
             raise RunFailed(
                 f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts of it within"
-                f" {RESTART_WINDOW_S:.0f} s, the most of a process. Its last lines:\n{self._tail(name) or '  (none)'}"
+                f" {RESTART_WINDOW_S:.0f} s, which is the most. Its last lines:\n{self._tail(name) or '  (none)'}"
             )
         before.append(now)
 

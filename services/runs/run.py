@@ -207,11 +207,11 @@ def _result(ask: Ask, start: RunStart, began: float, status: str) -> Result | No
     rows = ask("runs", {"run": start.run})
     if not rows or rows[0]["status"] != status:
         return None
-    width, last = window(start.dwells), start.dwells if rows[0]["status"] == "complete" else rows[0]["t"]
+    width, last = window(start.dwells), rows[0]["t"]  # fewer dwells, if it was ended before
     firsts = range(1, last + 1, width) if width < start.dwells < NO_END else ()
-    windows = [
-        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + width - 1, last)}"}) for first in firsts
-    ]
+    spans = (f"{first}:{min(first + width - 1, last)}" for first in firsts)
+    asked = (ask("summary", {"run": start.run, "dwells": span}) for span in spans)
+    windows = [found for found in asked if found]  # in real time all dwells of a window may be lost
     picture = next(iter(ask("picture", {"run": start.run})), {})
     return Result(rows[0], ask("summary", {"run": start.run}), windows, picture, time.monotonic() - began)
 

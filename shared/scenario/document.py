@@ -64,7 +64,11 @@ class Document:
 
     def order(self) -> Callable[[Loc], tuple[float, ...]]:
         """Sorts places as they were given, line by line, settings last. What is missing is at its table's end."""
-        last = {place[:n]: i for i, place in enumerate(self.sources) for n in range(1, len(place) + 1)}
+        last: dict[Loc, int] = {}
+        for i, (place, source) in enumerate(self.sources.items()):
+            is_setting = source.startswith("--")  # which says nothing of what is around its place
+            last |= {place[:n]: i for n in range(len(place) if is_setting else 1, len(place) + 1)}
+            last.setdefault(place[:1], i)
 
         def of(loc: Loc) -> tuple[float, ...]:
             place = next((tuple(loc[:n]) for n in range(len(loc), 0, -1) if tuple(loc[:n]) in last), ())
@@ -75,9 +79,9 @@ class Document:
             for part in place:
                 value = value[part]
             for part in loc[len(place) :] if isinstance(value, dict | list) else ():
-                keys: list[Any] = list(value if isinstance(value, dict) else range(len(value)))
-                found.append(keys.index(part) if part in keys else inf)
-                if not isinstance(value := value[part] if part in keys else None, dict | list):
+                known: Sequence[Any] = range(len(value)) if isinstance(value, list) else [*value]
+                found.append(known.index(part) if part in known else inf)
+                if not isinstance(value := value[part] if part in known else None, dict | list):
                     break
             return (*found, inf)
 
@@ -279,7 +283,8 @@ def _no_such(folder: Path, wanted: str, chain: Sequence[Path]) -> str:
         return "a directory, must be a .toml file or the name of a built-in scenario"
     if path.is_symlink():
         return "a symbolic link that leads to no file"
-    beside = [file for file in Path(folder, wanted).parent.glob("*.toml") if file not in chain]
+    known_by_now = {file.resolve() for file in chain}
+    beside = [file for file in Path(folder, wanted).parent.glob("*.toml") if file.resolve() not in known_by_now]
     known = [*built_in(), *(str(Path(wanted).with_name(file.name)) for file in beside)]
     exact = [name for name in (f"{wanted}.toml", Path(wanted).stem) if name in known]
     close = exact or get_close_matches(wanted, known, n=1)

@@ -15,7 +15,7 @@ Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 
 _NUMBER = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*[^\W\d_]{0,8}\s*")
 MAX_EXPLAINED = 20  # faults of one document that have a line each; to explain one takes a fifth of a millisecond
-MAX_FURTHER = 500  # that are counted of entries after the first wrong one of a list
+MAX_FURTHER = 250  # entries of a list after the first wrong one that are looked at
 MAX_SHOWN = 60  # characters of a key
 PRINTED_BITS = 13_000  # of an integer: with more than 4300 digits Python refuses to print it, or prints something else
 _SHORT = {"--rule": "radar.planner.rule"}  # options that are short for one key
@@ -72,7 +72,7 @@ def faults(
     order    : of places; None: unknown keys first
     """
     found = error.errors(include_url=False, include_context=False)
-    found += islice(_further(found, document, model), MAX_FURTHER)
+    found += _further(found, document, model)
     # A misspelt key is both missing and unknown: the unknown one is what its author must see.
     errors = sorted(found, key=lambda item: order(item["loc"]) if order else item["type"] != "extra_forbidden")
     explained: dict[Fault, None] = {}  # each alternative of a value has an error
@@ -97,7 +97,8 @@ def _further(
             continue
         most = max((limit.max_length for limit in field.metadata if hasattr(limit, "max_length")), default=0)
         wrong = [n for error in here for n in error["loc"][len(place) :][:1] if isinstance(n, int)]
-        for i in range(max(wrong), len(inner)) if wrong and len(inner) <= most else ():
+        later = islice(range(max(wrong), len(inner)), MAX_FURTHER) if wrong and len(inner) <= most else ()
+        for i in later:
             fresh = [error for error in here if error["loc"][len(place)] == i]
             if i > max(wrong):
                 fresh = _errors_of(inner[i], kind, (*place, i))

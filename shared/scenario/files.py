@@ -17,7 +17,7 @@ from cogradar.shared.scenario.document import (
     built_in,
     read,
 )
-from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable, unknown_keys
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, MAX_SHOWN, Fault, faults, printable, unknown_keys
 from cogradar.shared.scenario.limits import MAX_ROWS
 from cogradar.shared.scenario.plugins.kinds import IN_SCENARIO
 from cogradar.shared.scenario.plugins.names import PluginRefused
@@ -70,7 +70,7 @@ def load(
     """
     document, unset = read(name_or_path), list[str]()
     given = [*((setting, "--set") for setting in settings), *((setting, "--over") for setting in over)]
-    for setting in [*given, *([(f"radar.planner.rule={rule}", "--rule", rule)] if rule else [])]:
+    for setting in [*given, *([(f"radar.planner.rule={rule}", "--rule", rule)] if rule is not None else [])]:
         try:
             document.set(*setting)
         except ScenarioError as error:
@@ -117,7 +117,7 @@ def _settle_names(document: Document) -> list[Fault]:
             folder, file = (given_by.parent, str(given_by)) if given_by else (Path(), "")
             table[loc[-1]] = settled(kind, given, folder, file)
         except PluginRefused as error:
-            close = get_close_matches(given, kind.built_in, n=1)
+            close = get_close_matches(given, kind.built_in, n=1) if len(given) <= MAX_SHOWN else []
             meant = f"; did you mean {close[0]}?" if close else ""
             wrong.append(Fault(loc, f" = {printable(given)!r}", f"{error}{meant}"))
     return wrong
@@ -215,7 +215,8 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = (), unrea
     unset  : faults of settings that have no place in it
     unread : faults of files that it names, and of what these hold
     """
-    lines, order = list(unset), document.order()
+    lines, is_file = list(unset), bool(document.sources)  # else a message: it is refused in less time than a file
+    order = document.order() if is_file else None
     found, n_unknown = unknown_keys(document.tables, kind)
     if n_unknown > MAX_EXPLAINED:  # nothing else matters, and to look for it takes long
         raise _refusal([*lines, *(fault.given_by(document.source_of(fault.loc)) for fault in found)], n_unknown)
@@ -226,7 +227,9 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = (), unrea
     except ValidationError as error:
         tables = document.tables
         known = {tuple(fault.loc) for fault in unread}
-        found += [fault for fault in faults(error, kind, tables, order) if tuple(fault.loc) not in known]
+        found += [
+            fault for fault in faults(error, kind, tables if is_file else None, order) if tuple(fault.loc) not in known
+        ]
     if len(found) > MAX_EXPLAINED:
         pass  # what is wrong with values together is not shown
     elif kind is Scenario:
@@ -235,7 +238,9 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = (), unrea
         found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
     if not isinstance(document.tables.get("radar", {}), dict):  # what the world would take over from it is not missing
         found = [fault for fault in found if tuple(fault.loc) not in _TAKEN]
-    found = sorted(dict.fromkeys(_as_written(fault, document) for fault in found), key=lambda fault: order(fault.loc))
+    found = [*dict.fromkeys(_as_written(fault, document) for fault in found)]
+    if order is not None:
+        found.sort(key=lambda fault: order(fault.loc))
     n = len(lines) + len(found)
     lines += [fault.given_by(document.source_of(fault.loc)) for fault in found[: MAX_EXPLAINED + 1]]
     if not lines:

@@ -13,11 +13,17 @@ def fault_of_file(given: str | Path) -> str:
     file = Path(given)
     if given == "":
         return "has no name: name a file"
-    if file.is_dir():
-        return f"{file}: is a folder: name a file in it"
-    if not file.parent.is_dir():
-        return f"{file}: there is no folder {file.parent}: make it first, or name another one"
-    return ""
+    try:
+        if file.is_dir() or str(given).endswith(os.sep):
+            return f"{file}: is a folder: name a file in it"
+        if file.is_symlink() and not file.exists():
+            return f"{file}: is a link that leads to no file: name another one"
+        if not file.parent.is_dir():
+            return f"{file}: there is no folder {file.parent}: make it first, or name another one"
+        above = file if file.exists() else file.parent
+    except OSError as error:  # the name is too long, or of a folder that may not be entered
+        return f"{file}: {_reason(error)}: name another one"
+    return "" if os.access(above, os.W_OK) else f"{file}: {above} may not be written to: name another file"
 
 
 def fault_of_folder(given: str | Path) -> str:
@@ -25,10 +31,19 @@ def fault_of_folder(given: str | Path) -> str:
     folder = Path(given)
     if given == "":
         return "has no name: name a folder; . is this one"
-    above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    try:
+        if folder.is_symlink() and not folder.exists():
+            return f"{folder}: is a link that leads to no folder: name another one"
+        above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    except OSError as error:
+        return f"{folder}: {_reason(error)}: name another one"
     if not above.is_dir():
         return f"{folder}: {'is' if above == folder else f'{above} is'} a file: name a folder, which is made if need be"
     return "" if os.access(above, os.W_OK) else f"{folder}: {above} may not be written to: name another folder"
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
 
 
 def made(folder: Path) -> None:
@@ -45,6 +60,8 @@ def whole(file: Path, *, force: bool) -> Iterator[Path]:
         raise BadInput(fault)
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
+    if file.exists() and not file.is_file():
+        raise BadInput(f"{file}: is no regular file, and would be replaced by one: name another one")
     part = file.with_name(f".{file.stem}.{os.getpid()}.part{file.suffix}")
     try:
         yield part

@@ -42,6 +42,7 @@ def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: An
         "digest": "0",
         "began_s": 0,
     } | other
+    run.setdefault("acknowledged_t", run["dwells"])
     named = [score | {"run": run["run"]} for score in scores]
     return Recording(run, named, made_picture(str(run["run"]), seed), [])
 

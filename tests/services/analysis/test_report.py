@@ -169,13 +169,14 @@ def _recorded(*said: Message) -> Store:
     return made
 
 
-def _endless(k: int = 30) -> list[Message]:
-    """A run without an end, which a command ends with this dwell."""
-    return play(smoke_start(dwells=NO_END), orders=[Order(n=1, k=k, action=EndRun())])
+def _endless(k: int = 30, dwells: int = NO_END) -> list[Message]:
+    """A run without an end, or a long one, which a command ends with this dwell."""
+    return play(smoke_start(dwells=dwells), orders=[Order(n=1, k=k, action=EndRun())])
 
 
-def test_a_run_without_an_end_that_a_command_has_ended_is_reported_on(tmp_path: Path) -> None:
-    made = _recorded(*_endless())
+@pytest.mark.parametrize("dwells", [NO_END, 500])
+def test_a_run_that_a_command_has_ended_is_reported_on(tmp_path: Path, dwells: int) -> None:
+    made = _recorded(*_endless(dwells=dwells))
     (row,) = made.read("SELECT status, acknowledged_t AS t FROM run")
     assert (row["status"], row["t"] > 0) == ("complete", True)
     found = report_of(made)
@@ -245,7 +246,7 @@ def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
     """By their dwells; by their documents if that is not enough."""
     for place, (dwells, document) in enumerate([(30, None), (60, "changed")], 60):
         again = _taken(store, "smoke-uniform-1")
-        row = again.run | {"run": f"r{place}", "dwells": dwells}
+        row = again.run | {"run": f"r{place}", "dwells": dwells, "acknowledged_t": dwells}
         if document:
             row["document"] = row["document"].replace('"smoke"', '"smoke "')
         scores = [score | {"run": f"r{place}"} for score in again.scores if score["t"] <= dwells]

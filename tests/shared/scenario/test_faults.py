@@ -128,11 +128,18 @@ n_tx = 0
     ]
 
 
-def test_of_many_targets_twenty_faults_are_explained_and_the_others_counted() -> None:
+def test_of_many_targets_twenty_faults_are_explained_and_the_others_counted(tmp_path: Path) -> None:
+    """Of a file. Of a message the first entry alone, which takes no time."""
+    targets = [{"state": [-1.0, 0.0, float(i), 0.0]} for i in range(100)]
     document = load("smoke").model_dump()
-    document["world"]["targets"] = [{"state": [-1.0, 0.0, float(i), 0.0]} for i in range(100)]
+    document["world"]["targets"] = targets
     with pytest.raises(ScenarioError) as caught:
-        parse(document, source="x.toml")
+        parse(document, source="a message")
+    assert all("targets #1," in fault or "tracks" in fault for fault in caught.value.faults)
+    file = tmp_path / "x.toml"
+    file.write_text('extends = "smoke"\n' + "".join(f"[[world.targets]]\nstate = {one['state']}\n" for one in targets))
+    with pytest.raises(ScenarioError) as caught:
+        load(str(file))
     assert [f"targets #{i}, state" in caught.value.faults[i - 1] for i in range(1, 21)] == 20 * [True]
     assert caught.value.faults[20:] == ("and 80 more",)
 
