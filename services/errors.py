@@ -49,6 +49,10 @@ class StoreFailed(Failure):
     """A store failed while it was in use; the text names the file."""
 
 
+class Busy(StoreFailed):
+    """Another program reads or writes the file of a store, so that it cannot be begun with now."""
+
+
 class NoRoom(StoreFailed):
     """A store could not be written, as its disk is full; what was not committed is undone."""
 

@@ -162,22 +162,34 @@ class Journal(Database):
         seconds = math.inf if keep.days is None else keep.days * 86400.0
         for row in self.read(query, [now - keep.grace_s, runs, now - seconds]):
             with self._or_aside(row["run"]):
-                self.write("INSERT INTO dropped VALUES (?) ON CONFLICT DO NOTHING", row["run"])
-                self.write("DELETE FROM command WHERE run = ?", row["run"])
-                self.write("DELETE FROM run WHERE run = ?", row["run"])
+                self.drop(row["run"])
 
-    def delete_dropped(self) -> None:
-        """Delete some messages of a dropped run: so few that no other work waits for it. Their space is used again."""
-        for run in [run for (run,) in self.rows("SELECT run FROM dropped") if run not in self._stuck][:1]:
+    def drop(self, run: str) -> None:
+        """Drop a run with all that belongs to it. Its messages are deleted later (`delete_dropped`)."""
+        self.write("INSERT INTO dropped VALUES (?) ON CONFLICT DO NOTHING", run)
+        for table in ("command", "snapshot", "main.score", "main.picture", "run"):
+            self.write(f"DELETE FROM {table} WHERE run = ?", run)
+
+    def dropped(self) -> list[str]:
+        """Runs that are dropped and not known to be damaged: some of their messages may be there still."""
+        return [run for (run,) in self.rows("SELECT run FROM dropped ORDER BY run") if run not in self._stuck]
+
+    def delete_dropped(self) -> int:
+        """Delete some messages of a dropped run: so few that no other work waits for it. Their space is used again.
+
+        Returns how many.
+        """
+        for run in self.dropped()[:1]:
             try:
                 with self.part():
                     ((k,),) = self.rows("SELECT MIN(k) FROM message WHERE run = ?", (run,))
                     if k is None:
                         self.write("DELETE FROM dropped WHERE run = ?", run)
                     else:
-                        self.write("DELETE FROM message WHERE run = ? AND k < ?", run, k + DELETED_DWELLS)
+                        return self.write("DELETE FROM message WHERE run = ? AND k < ?", run, k + DELETED_DWELLS)
             except Damaged:  # it takes space, and is no run any more
                 self._stuck.add(run)
+        return 0
 
     def cut(self, run: str, before_k: int) -> tuple[int, int]:
         """Delete the messages of the dwells before this one, whose space is used again; their number, and their bytes.

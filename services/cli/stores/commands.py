@@ -41,7 +41,8 @@ def store_command(
     compared row by row. A copy that fails leaves an empty store, to which you
     can copy again. `check` names each damaged run, and its exit code is 2.
     `delete` needs a store that no process writes and a run that has ended. The
-    file keeps its size: later runs use the space.
+    file keeps its size: later runs use the space. After Ctrl-C the next
+    recorder or `delete` deletes the rest.
     """
     if (target is None) is not (action is StoreAction.CHECK):
         raise typer.BadParameter("copy takes two stores, check takes one, delete a store and a run")
@@ -51,10 +52,7 @@ def store_command(
         if target is None:
             _check_store(source, stop)
         elif action is StoreAction.DELETE:
-            from cogradar.services.recorder.delete import delete
-
-            counts = delete(source, target)
-            say(f"{shown(source)}: run {target} is deleted, {sum(counts.values())} rows in all")
+            _delete_run(source, target, stop)
         else:
             _copy_store(source, target, stop, only_intact=intact)
 
@@ -80,6 +78,20 @@ def _check_store(source: str, stop: Stop) -> None:
         cure = f"`cogradar store copy --intact {shown(source)} NEW` saves the runs that are whole"
         raise Damaged(f"{shown(source)}: is damaged, as said above: {cure}")
     say(f"{shown(source)}: {n} runs, all as they were written")
+
+
+def _delete_run(source: str, run: str, stop: Stop) -> None:
+    from cogradar.services.recorder.delete import delete
+
+    with progress(err) as tell:
+
+        def told(n: int) -> None:
+            check_stop(stop, f": run {run} is gone; the next recorder or `store delete` deletes the rest of it")
+            tell(f"{shown(source)}: run {run}, {n} messages deleted")
+
+        check_stop(stop)
+        delete(source, run, told)
+    say(f"{shown(source)}: run {run} is deleted")
 
 
 def _copy_store(source: str, target: str, stop: Stop, *, only_intact: bool) -> None:

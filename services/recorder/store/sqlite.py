@@ -14,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from cogradar.services.errors import BadInput, Damaged, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
+from cogradar.services.errors import BadInput, Busy, Damaged, Displaced, Failure, InUse, NoRoom, NoStoreYet, StoreFailed
 from cogradar.services.recorder.store.followed import Place, displaced, has_room, is_special, place_of
 from cogradar.services.recorder.store.lock import JournalLock
 from cogradar.services.recorder.store.seal import beyond_cure, damage, run_asked
@@ -311,7 +311,8 @@ def failure(path: str, error: Exception, run: str = "") -> StoreFailed:
         said = "a question took more steps than so many bytes can need: it is damaged"
     if name == "SQLITE_INTERRUPT" or name.startswith(_DAMAGED):
         return damage(path, f"run {run!r}: {said}" if run else said, run)
-    return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
+    kind = NoRoom if _is_for_want_of_room(error) else Busy if name.startswith("SQLITE_BUSY") else StoreFailed
+    return kind(printable(f"{path}: {error}"))
 
 
 def _is_for_want_of_room(error: Exception) -> bool:
