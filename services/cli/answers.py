@@ -326,18 +326,22 @@ def feed(
             raise BadInput("--tasks: only --to sapient takes them, of a run that goes on")
         commander = opened.enter_context(closing(Commander(connect))) if tasks else None
         form = kind.make(feeding.Options(Source(sac, sic), categories, stale, commander, notify))
-        way = kind.way(where, form, notify)
+        way, tally = kind.way(where, form, notify), feeding.Tally()
         try:
             wanted = Wanted(tentative, form.wants_plots, None if site is None else site_from(site))
             if store is None:
-                n = feeding.feed(live(connect, run_, check, notify, wanted), form, way, rate)
+                feeding.feed(live(connect, run_, check, notify, wanted), form, way, rate, tally)
             else:
                 with asking.source(store, connect) as ask:
                     pictures = recorded(ask, run_, speed, check, wanted)
-                    n = feeding.feed(pictures, form, way, rate if speed else 0.0)
+                    feeding.feed(pictures, form, way, rate if speed else 0.0, tally)
         finally:
             way.close()
-    say(way.outcome(n), err)
+            if tally.offered:
+                notify(tally.words(way))
+        if not tally.sent:
+            cure = "start the receiver first, then the feed" if tally.offered else "it has no pictures"
+            raise RunFailed(f"nothing of the run was sent: {cure}")
 
 
 def schema(

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -128,14 +129,36 @@ def guarded(made: Any, call: Caller) -> Kind:
     return Kind(make, **given)
 
 
-def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_hz: float) -> int:
-    """Send pictures, at most `rate_hz` of them a second (0: all), the newest if there are more; returns how many.
+@dataclass
+class Tally:
+    """How many pictures a feed had to send, and how many went out; not those that drop all tracks at an end."""
+
+    offered: int = 0
+    sent: int = 0
+
+    def words(self, way: Transport) -> str:
+        """What has become of them."""
+        lost = self.offered - self.sent
+        if not self.sent:
+            of_them = f", {lost} {'was' if lost == 1 else 'were'} lost" if lost else ""
+            return f"no picture was {way.done}{of_them}"
+        share = f"{self.sent} of " if lost else ""
+        text = f"{share}{self.offered} {'picture' if self.offered == 1 else 'pictures'} {way.done}"
+        if lost:
+            text += "; the other one was lost" if lost == 1 else "; the others were lost"
+        return text if way.is_answered else f"{text}; datagrams do not tell whether anything receives them"
+
+
+def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_hz: float, tally: Tally) -> None:
+    """Send pictures, at most `rate_hz` of them a second (0: all), the newest if there are more.
+
+    tally : counts them, and is right whatever ends this
 
     Whatever ends it, the last thing that is sent is a picture without tracks: none stays on a display.
     """
     last: Picture | None = None  # that was sent
     held: Picture | None = None  # that waits for its time
-    due_s, n = 0.0, 0
+    due_s = 0.0
     try:
         for picture in pictures:
             if picture is not None and last is not None and picture.run != last.run and last.tracks:
@@ -144,8 +167,10 @@ def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_
             held = picture or held
             if held is None or (rate_hz and time.monotonic() < due_s):
                 continue
-            way.send(form.encode(held))
-            last, held, n = held, None, n + 1
+            tally.offered += 1
+            outputs, is_accepted = form.encode(held), form.is_accepted
+            tally.sent += way.send(outputs) and is_accepted
+            last, held = held, None
             if rate_hz:  # what came while this one was sent is looked through first, for the newest
                 due_s = max(due_s + 1.0 / rate_hz, time.monotonic() + 0.25 / rate_hz)
     except RunFailed:
@@ -154,4 +179,3 @@ def feed(pictures: Iterable[Picture | None], form: Format, way: Transport, rate_
     finally:
         if last is not None and (last.tracks or held is not None):
             way.send(form.encode(last.without_tracks()))
-    return n

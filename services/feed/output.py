@@ -18,6 +18,11 @@ class Format(Protocol):
 
     wants_plots: bool = False  # pictures are to have the detections of their dwells
 
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the other side takes pictures by now; `encode` says nothing of them before."""
+        return True
+
     def encode(self, picture: Picture) -> Sequence[Output]:
         """What is to be sent for a picture: all of it, so that a display that joins late has it in one cycle."""
 

@@ -25,14 +25,14 @@ _ADDRESS = re.compile(r"(udp|tcp)://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]/:\s]+)):(\d
 class Transport(Protocol):
     """A way to other systems."""
 
-    def send(self, outputs: Sequence[Output]) -> None:
-        """Send what belongs to one picture. Raises Failure if that is not possible for good."""
+    done: str  # for people: what has become of pictures that went out, "sent to ..."
+    is_answered: bool  # it is known whether they arrive
+
+    def send(self, outputs: Sequence[Output]) -> bool:
+        """Send what belongs to one picture; whether it went out. Raises Failure if that is not possible for good."""
 
     def close(self) -> None:
         """Let go of what is open."""
-
-    def outcome(self, n: int) -> str:
-        """What has become of n pictures, in words."""
 
 
 def transport(
@@ -67,7 +67,9 @@ def transport(
 class Stdout:
     """Standard output."""
 
-    def send(self, outputs: Sequence[Output]) -> None:
+    done, is_answered = "sent to standard output", True
+
+    def send(self, outputs: Sequence[Output]) -> bool:
         """Write all, at once. Raises RunFailed when its reader is gone."""
         try:
             for output in outputs:
@@ -77,24 +79,24 @@ class Stdout:
             with suppress(OSError):
                 sys.stdout.close()
             raise RunFailed("standard output: its reader is gone") from None
+        return True
 
     def close(self) -> None:
         """It stays open."""
-
-    def outcome(self, n: int) -> str:
-        """Its reader has them."""
-        return f"{n} pictures sent"
 
 
 class Folder:
     """Files in a folder. A reader finds each whole: the old one or the new one."""
 
+    is_answered = True
+
     def __init__(self, folder: str | Path) -> None:
         self._folder = Path(folder)
+        self.done = f"written into {self._folder}"
         if fault := fault_of_folder(folder):
             raise BadInput(f"--out: {fault}")
 
-    def send(self, outputs: Sequence[Output]) -> None:
+    def send(self, outputs: Sequence[Output]) -> bool:
         """Replace the files. Raises RunFailed if the system does not let us."""
         for output in outputs:
             part = self._folder / f".{output.file}.{os.getpid()}.part"
@@ -106,76 +108,79 @@ class Folder:
                 with suppress(OSError):
                     part.unlink(missing_ok=True)
                 raise RunFailed(f"{self._folder / output.file}: {(error.strerror or str(error)).lower()}") from None
+        return True
 
     def close(self) -> None:
         """The files stay."""
 
-    def outcome(self, n: int) -> str:
-        """Each replaced the one before."""
-        return f"{n} pictures written into {self._folder}"
-
 
 class Udp:
     """Datagrams, one for each output, evenly in time."""
+
+    is_answered = False
 
     def __init__(self, host: str, port: int, notify: Callable[[str], None]) -> None:
         try:
             (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
             raise BadInput(f"--out udp://{host}:{port}: {_reason(error)}") from None
-        self._name, self._address, self._notify = f"udp://{host}:{port}", address, notify
+        self._address, self._notify = address, notify
+        self._url = f"udp://{host}:{port}"
+        self.done = f"sent to {self._url}"
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._next_s = 0.0
         self._said = ""
 
-    def send(self, outputs: Sequence[Output]) -> None:
-        """Send each. A datagram that finds no receiver or no network is lost."""
+    def send(self, outputs: Sequence[Output]) -> bool:
+        """Send each. A datagram that finds no receiver or no network is lost, and with it its picture."""
+        is_sent = True
         for output in outputs:
             time.sleep(max(0.0, self._next_s - time.monotonic()))
             self._next_s = time.monotonic() + GAP_S
             try:
                 self._socket.sendto(output.data, self._address)
             except OSError as error:
-                text = f"{self._name}: {_reason(error)}; going on"
+                is_sent = False
+                text = f"{self._url}: {_reason(error)}; going on"
                 if text != self._said:
                     self._notify(text)
                 self._said = text
+        return is_sent
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
-    def outcome(self, n: int) -> str:
-        """Nothing comes back from a receiver."""
-        return f"{n} pictures sent to {self._name}; datagrams do not tell whether anything receives them"
-
 
 class Tcp:
     """A connection to a server, made again whenever it is lost; what would have been sent meanwhile is not."""
+
+    is_answered = True
 
     def __init__(self, host: str, port: int, form: Format, notify: Callable[[str], None]) -> None:
         self._address, self._form, self._notify = (host, port), form, notify
         self._socket: socket.socket | None = None
         self._next_s = 0.0
         self._said = ""
-        self._lost = 0  # pictures for which there was no connection
+        self._url = f"tcp://{host}:{port}"
+        self.done = f"sent to {self._url}"
 
-    def send(self, outputs: Sequence[Output]) -> None:
+    def send(self, outputs: Sequence[Output]) -> bool:
         """Send all, if there is a connection or one can be had; where a greeting must come first, that alone."""
         is_new = self._socket is None
         if is_new and not self._connect():
-            self._lost += 1
-            return
+            return False
         greeting = self._form.greeting() if is_new else b""
         try:
             if self._socket is not None:
                 answer = self._read(self._socket)
                 self._socket.sendall(greeting or answer + b"".join(output.data for output in outputs))
         except OSError as error:
-            self._lost += 1
             self._drop()
             self._form.lost()
             self._say(error)
+            return False
+        return not greeting
 
     def close(self) -> None:
         """Close the connection, once the server has what was sent, or has had time for it."""
@@ -187,14 +192,6 @@ class Tcp:
                     self._read(self._socket)
                     time.sleep(GAP_S)
         self._drop()
-
-    def outcome(self, n: int) -> str:
-        """How many there was a connection for."""
-        name = f"tcp://{self._address[0]}:{self._address[1]}"
-        if self._lost >= n > 0:
-            return f"no picture was sent, {n} were lost: there was no connection to {name}"
-        lost = "; there was no connection for the others" if self._lost else ""
-        return f"{n - self._lost} of {n} pictures sent to {name}{lost}"
 
     def _read(self, connection: socket.socket) -> bytes:
         """Read what the server says; what is to be answered. Raises ConnectionError at its end, RunFailed."""
@@ -230,7 +227,7 @@ class Tcp:
 
     def _say(self, error: OSError | UnicodeError) -> None:
         """Tell once why there is no connection."""
-        text = f"tcp://{self._address[0]}:{self._address[1]}: {_reason(error)}; trying again"
+        text = f"{self._url}: {_reason(error)}; trying again"
         if text != self._said:
             self._notify(text)
         self._said = text

@@ -61,6 +61,11 @@ class Sapient(Format):
         self._said = deque[tuple[float, Ack]](maxlen=MAX_ACKS)  # on this connection, and when
         self._notify, self._dropped = notify, 0
 
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the fusion node has accepted the registration."""
+        return self._is_accepted
+
     def encode(self, picture: Picture) -> list[Output]:
         """Reports, each a message. Raises RunFailed if the other side refuses the radar."""
         before, self._newest = self._newest, picture

@@ -1,11 +1,15 @@
 """`cogradar feed` of a run that is stored."""
 
 import json
+import signal
 import socket
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from cogradar.services.errors import RunFailed
+from cogradar.services.feed.picture import Picture
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
@@ -13,6 +17,7 @@ from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.cli.here import here
+from tests.services.feed.made import picture, track
 
 SITE = ["site.latitude_deg=48.35", "site.longitude_deg=11.79", "site.boresight_deg=60"]
 
@@ -38,15 +43,28 @@ def test_a_stored_run_becomes_files(file: str, tmp_path: Path) -> None:
 
 def test_it_is_said_that_nothing_has_read_the_pictures(file: str) -> None:
     done = here("feed", "--to", "asterix", "--out", "tcp://127.0.0.1:9", "--store", file, "--speed", "0")
-    assert done.returncode == 0
+    assert done.returncode == RunFailed.exit_code
     said = done.stderr.replace("\n", " ")
-    assert "no picture was sent, 6 were lost: there was no connection to tcp://127.0.0.1:9" in said
+    assert "no picture was sent to tcp://127.0.0.1:9, 6 were lost" in said
+    assert "nothing of the run was sent: start the receiver first" in said
     with socket.create_server(("127.0.0.1", 0)) as display:
         name = f"tcp://127.0.0.1:{display.getsockname()[1]}"
         done = here("feed", "--to", "asterix", "--out", name, "--store", file, "--speed", "0")
-    assert done.stderr.replace("\n", " ") == f"6 of 6 pictures sent to {name} "
+    assert (done.returncode, done.stderr.replace("\n", " ")) == (0, f"6 pictures sent to {name} ")
     done = here("feed", "--to", "asterix", "--out", "udp://127.0.0.1:9", "--store", file, "--speed", "0")
     assert "6 pictures sent to udp://127.0.0.1:9; datagrams do not tell" in done.stderr.replace("\n", " ")
+
+
+def test_a_live_feed_that_is_interrupted_says_what_it_has_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def live(_endpoint: str, _run: str | None, check: Callable[[], None], *_: object) -> Iterator[Picture]:
+        yield picture(track(1))
+        signal.raise_signal(signal.SIGINT)
+        check()
+
+    monkeypatch.setattr("cogradar.services.feed.source.live", live)
+    done = here("feed", "--to", "geojson", "--out", str(tmp_path))
+    assert done.returncode == 130
+    assert done.stderr.replace("\n", " ") == f"1 picture written into {tmp_path} interrupted "
 
 
 def test_it_is_played_at_the_pace_that_is_asked_for(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.feed.aircraft_json import KNOT, AircraftJson
-from cogradar.services.feed.feed import FORMATS, Options, feed
+from cogradar.services.feed.feed import FORMATS, Options, Tally, feed
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Output
 from cogradar.services.feed.picture import Picture
@@ -69,22 +69,23 @@ def test_geojson_has_a_point_for_each_track() -> None:
 
 
 class _Kept:
+    done, is_answered = "kept", True
+
     def __init__(self) -> None:
         self.sent: list[list[int]] = []
 
-    def send(self, outputs: Sequence[Output]) -> None:
+    def send(self, outputs: Sequence[Output]) -> bool:
         self.sent += [[feature["id"] for feature in json.loads(output.data)["features"]] for output in outputs]
+        return True
 
     def close(self) -> None: ...
 
-    def outcome(self, n: int) -> str:
-        return str(n)
-
 
 def test_at_the_end_and_between_runs_no_track_stays() -> None:
-    way = _Kept()
+    way, tally = _Kept(), Tally()
     made = [picture(track(1)), None, picture(track(1), track(2), t=2), picture(track(3), run="r-2")]
-    assert feed(made, GeoJson(), way, 0.0) == 3
+    feed(made, GeoJson(), way, 0.0, tally)
+    assert tally == Tally(3, 3)  # and not those without tracks
     assert way.sent == [[1], [1, 2], [], [3], []]
 
 
@@ -93,9 +94,10 @@ def test_what_ends_the_feed_ends_its_tracks() -> None:
         yield picture(track(1))
         raise KeyboardInterrupt
 
-    way = _Kept()
+    way, tally = _Kept(), Tally()
     with pytest.raises(KeyboardInterrupt):
-        feed(interrupted(), GeoJson(), way, 0.0)
+        feed(interrupted(), GeoJson(), way, 0.0, tally)
+    assert tally == Tally(1, 1)
     assert way.sent == [[1], []]
 
 
@@ -107,7 +109,7 @@ def test_more_pictures_than_may_be_sent_give_way_to_the_newest() -> None:
         yield None
 
     way = _Kept()
-    feed(made(), GeoJson(), way, 10.0)
+    feed(made(), GeoJson(), way, 10.0, Tally())
     assert way.sent[0] == [1]
     assert way.sent[-2:] == [[199], []]
     assert len(way.sent) < 20
@@ -138,15 +140,33 @@ def test_places_that_a_format_cannot_go_to(to: str, out: str, words: str) -> Non
 
 
 class _Broken(_Kept):
-    def send(self, outputs: Sequence[Output]) -> None:
+    def send(self, outputs: Sequence[Output]) -> bool:
         if self.sent:
             raise RunFailed("standard output: its reader is gone")
-        super().send(outputs)
+        return super().send(outputs)
 
 
 def test_with_no_way_left_nothing_is_sent_once_more() -> None:
+    tally = Tally()
     with pytest.raises(RunFailed, match="reader is gone"):
-        feed([picture(track(1)), picture(track(1), t=2)], GeoJson(), _Broken(), 0.0)
+        feed([picture(track(1)), picture(track(1), t=2)], GeoJson(), _Broken(), 0.0, tally)
+    assert tally == Tally(2, 1)
+
+
+@pytest.mark.parametrize(
+    ("offered", "sent", "words"),
+    [
+        (0, 0, "no picture was kept"),
+        (1, 0, "no picture was kept, 1 was lost"),
+        (2, 0, "no picture was kept, 2 were lost"),
+        (1, 1, "1 picture kept"),
+        (2, 2, "2 pictures kept"),
+        (2, 1, "1 of 2 pictures kept; the other one was lost"),
+        (3, 1, "1 of 3 pictures kept; the others were lost"),
+    ],
+)
+def test_what_has_become_of_pictures_is_said(offered: int, sent: int, words: str) -> None:
+    assert Tally(offered, sent).words(_Kept()) == words
 
 
 def test_a_variance_below_zero_is_none() -> None:

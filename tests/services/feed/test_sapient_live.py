@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing
 import pytest
 
 from cogradar.services.errors import Interrupted
-from cogradar.services.feed.feed import FORMATS, Options, feed
+from cogradar.services.feed.feed import FORMATS, Options, Tally, feed
 from cogradar.services.feed.picture import Wanted
 from cogradar.services.feed.sapient.tasking import ACCEPTED, COMPLETED, REJECTED, Commander
 from cogradar.services.feed.source import live
@@ -43,7 +43,7 @@ def test_a_fusion_node_pauses_looks_and_is_refused(endpoint: str) -> None:
         form = kind.make(Options(command=commander, notify=said.append))
         way = kind.way(f"tcp://127.0.0.1:{port}", form, said.append)
         with closing(way), pytest.raises(Interrupted):
-            feed(live(endpoint, start.run, check, said.append, Wanted(site=SITE)), form, way, 10.0)
+            feed(live(endpoint, start.run, check, said.append, Wanted(site=SITE)), form, way, 10.0, Tally())
 
     with (
         socket.create_server(("127.0.0.1", 0)) as server,

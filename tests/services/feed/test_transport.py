@@ -2,13 +2,18 @@
 
 import socket
 import time
+from collections.abc import Iterator
 
 import pytest
 
 from cogradar.services.errors import BadInput
+from cogradar.services.feed.feed import Tally, feed
 from cogradar.services.feed.geojson import GeoJson
 from cogradar.services.feed.output import Output
+from cogradar.services.feed.picture import Picture
+from cogradar.services.feed.sapient.node import Sapient
 from cogradar.services.feed.transport import GAP_S, Tcp, Udp
+from tests.services.feed.made import picture, track
 
 
 def _nothing(_: str) -> None: ...
@@ -32,7 +37,7 @@ def test_a_network_that_takes_no_datagrams_is_told_of_once_and_no_fault() -> Non
     way = Udp("127.0.0.1", 9, said.append)
     way._socket.close()
     for _ in range(3):
-        way.send([Output(b"x"), Output(b"y")])
+        assert not way.send([Output(b"x"), Output(b"y")])
     assert said == ["udp://127.0.0.1:9: bad file descriptor; going on"]
 
 
@@ -84,11 +89,53 @@ def test_without_a_server_it_says_so_once_and_goes_on(monkeypatch: pytest.Monkey
     monkeypatch.setattr("cogradar.services.feed.transport.RETRY_S", 0.0)
     said = list[str]()
     way = Tcp("127.0.0.1", 9, GeoJson(), said.append)
-    way.send([Output(b"x")])
-    way.send([Output(b"y")])
+    assert not way.send([Output(b"x")])
+    assert not way.send([Output(b"y")])
     assert said == ["tcp://127.0.0.1:9: connection refused; trying again"]
-    assert way.outcome(2) == "no picture was sent, 2 were lost: there was no connection to tcp://127.0.0.1:9"
-    assert way.outcome(3) == "1 of 3 pictures sent to tcp://127.0.0.1:9; there was no connection for the others"
+
+
+class _Greeted(GeoJson):
+    def greeting(self) -> bytes:
+        return b"hello"
+
+
+def test_a_picture_that_a_greeting_replaced_was_not_sent() -> None:
+    tally = Tally()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        way = Tcp("127.0.0.1", server.getsockname()[1], _Greeted(), _nothing)
+        feed([picture(track(1), t=t) for t in (1, 2, 3)], _Greeted(), way, 0.0, tally)
+        other, _ = server.accept()
+        assert other.recv(1 << 16).startswith(b"hello{")
+        way.close()
+        other.close()
+    assert tally == Tally(3, 2)
+
+
+def test_pictures_that_no_fusion_node_has_accepted_were_not_sent() -> None:
+    tally, form = Tally(), Sapient(None, _nothing)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        way = Tcp("127.0.0.1", server.getsockname()[1], form, _nothing)
+        feed([picture(track(1), t=t) for t in (1, 2, 3)], form, way, 0.0, tally)
+        way.close()
+    assert tally == Tally(3, 0)
+
+
+def test_after_a_server_that_closes_at_once_its_pictures_are_lost() -> None:
+    """Those that were made, and none of those without tracks at an end."""
+    tally = Tally()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def pictures() -> Iterator[Picture]:
+            yield picture(track(1))
+            server.accept()[0].close()
+            server.close()
+            time.sleep(0.1)
+            yield from (picture(track(1), t=t) for t in (2, 3))
+
+        way = Tcp("127.0.0.1", server.getsockname()[1], GeoJson(), _nothing)
+        feed(pictures(), GeoJson(), way, 0.0, tally)
+        way.close()
+    assert tally.words(way) == f"1 of 3 pictures {way.done}; the others were lost"
 
 
 def test_a_host_that_there_is_not_is_bad_input() -> None:
