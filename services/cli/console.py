@@ -340,12 +340,12 @@ def wrong_usage(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     where = f" (see {context.command_path} --help)" if context is not None else ""
     if not isinstance(error, typer.BadParameter) or not error.message:
-        return error.format_message().removesuffix(".") + where
+        return " ".join(error.format_message().split()).removesuffix(".") + where
     name = error.param_hint
     if error.param is not None:
         name = error.param.opts[0] if error.param.opts[0].startswith("-") else error.param.opts[0].upper()
     if not isinstance(error.__cause__, ValidationError):
-        return f"{name}: {error.message}{where}"
+        return f"{name}: {error.message}{where}" if name else f"{error.message}{where}"
     (first, *_) = error.__cause__.errors()
     adapter = getattr(error.param.get_runtime_param(), "adapter", None) if error.param is not None else None
     schema = adapter.json_schema() if adapter is not None else {}

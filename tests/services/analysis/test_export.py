@@ -266,7 +266,6 @@ ANY = (["--out", "x.csv"], ["--out", "-", "--format", "csv"], ["--out", "x.mcap"
     ("options", "words"),
     [
         (["--out", "x.xlsx"], "must be one of csv, json, npz, parquet, mat, nc, mcap, rrd, gif"),
-        (["--out", "nowhere/x.csv"], "nowhere/x.csv: there is no folder nowhere"),
         (["nobody", "--out", "x.csv"], "run = 'nobody': no such run"),
         (["--out", "-", "--format", "mat"], "--format mat: must be csv or json for --out -, standard output"),
         (["--out", "-"], "must be csv or json for --out -"),
