@@ -51,14 +51,15 @@ class InOwnThread:
         deadline_s: float,
         left: list[threading.Thread],
         first_s: float = FIRST_S,
+        opening_s: float | None = None,
     ) -> None:
-        """left : where its thread is noted if a call hangs."""
+        """left : where its thread is noted if a call hangs; opening_s : of opening, None: what time it needs."""
         self._deadline_s, self._left, self._first_s = deadline_s, left, first_s
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Answers] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name=f"front end of {settings.run}", daemon=True)
         self._thread.start()
         try:
-            self._front_end: FrontEnd = self._call("opening", lambda: make(settings), None)
+            self._front_end: FrontEnd = self._call("opening", lambda: make(settings), opening_s)
         except BaseException:
             self._jobs.put(None)
             raise
@@ -93,12 +94,18 @@ class InOwnThread:
         try:
             value, error = answers.get(timeout=deadline_s)
         except queue.Empty:
-            if self._thread not in self._left:
-                self._left.append(self._thread)
+            self._leave()
             raise FrontEndError(f"{name} did not return within {deadline_s:g} s") from None
+        except BaseException:  # an interrupt: it is not waited for
+            self._leave()
+            raise
         if error is not None:
             raise error
         return value
+
+    def _leave(self) -> None:
+        if self._thread not in self._left:
+            self._left.append(self._thread)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:

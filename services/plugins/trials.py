@@ -277,7 +277,7 @@ def _driven(
     """The scans of a front end that is opened for these dwells, and how long each took, ms. Raises PluginFailed."""
     scans, taken_ms, where = list[Scan](), list[float](), ""
     try:
-        front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S)
+        front_end = InOwnThread(make, settings, FIRST_S, [], first_s=FIRST_S, opening_s=FIRST_S)
         try:
             for k, one in enumerate(asked):
                 t = max(0, k + 1 - ACQUISITION)

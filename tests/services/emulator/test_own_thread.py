@@ -1,5 +1,6 @@
 """A front end that hangs is left behind: the emulator goes on with another one."""
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -142,3 +143,27 @@ def test_only_so_many_may_hang_at_once(device: Device) -> None:
             front_end.transmit(1, 0, ASKED)
     with pytest.raises(FrontEndError, match=f"{MOST_LEFT} front ends .* hang"):
         opens(start)
+
+
+def test_an_interrupt_does_not_wait_for_a_front_end_that_hangs(device: Device) -> None:
+    front_end = InOwnThread(device.open, Settings.of(checkpoint(smoke_start())), 60.0, [])
+    front_end.transmit(0, 0, ASKED)
+    main = threading.main_thread().ident
+    assert main is not None
+    threading.Timer(0.2, signal.pthread_kill, (main, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        front_end.transmit(1, 0, ASKED)
+    began = time.monotonic()
+    front_end.close()
+    assert time.monotonic() - began < 20.0
+    device.hangs.set()
+    assert device.is_closed.wait(20.0)
+
+
+def test_opening_may_have_a_deadline(device: Device) -> None:
+    def hangs(settings: Settings) -> FrontEnd:
+        device.hangs.wait()
+        return device.open(settings)
+
+    with pytest.raises(FrontEndError, match=r"^opening did not return within 0\.1 s$"):
+        InOwnThread(hangs, Settings.of(checkpoint(smoke_start())), 60.0, [], opening_s=0.1)
