@@ -26,7 +26,7 @@ def test_a_planted_fault_is_found(
     name: str, outcome: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Within its schedules, and not within too few; the exit code says so."""
-    monkeypatch.setattr("sys.argv", ["mutants", name, "--schedules", "20" if outcome == 0 else "1"])
+    monkeypatch.setattr("sys.argv", ["mutants", name, "--schedules", "50" if outcome == 0 else "1"])
     assert main() == outcome
     assert f"{1 - outcome} of 1 planted faults were found" in capsys.readouterr().out
 
