@@ -7,10 +7,12 @@ for all.
 Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / n_tx) I + F F^H transmit covariance.
 """
 
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,19 @@ class SenselessScan(FrontEndError):
 def fault_line(text: object) -> str:
     """A fault as all are told of it: a line that any terminal shows as it is, and not a long one."""
     return printable(str(text))[:MAX_FAULT]
+
+
+def told(error: BaseException) -> str:
+    """An exception in a line: the file and line of somebody else's code that it comes from, its type, its text."""
+    frames = traceback.walk_tb(error.__traceback__)
+    theirs = [(frame.f_code.co_filename, line) for frame, line in frames if not _is_ours(frame.f_globals)]
+    lines = [line for file, line in theirs if file == theirs[0][0]]  # of what we called, not of what it calls in turn
+    where = f"{Path(theirs[0][0]).name}, line {lines[-1]}: " if theirs else ""
+    return f"{where}{type(error).__name__}: {error}"
+
+
+def _is_ours(names: Mapping[str, Any]) -> bool:
+    return str(names.get("__name__")).startswith("cogradar.")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from cogradar.services.emulator.front_end import (
     SenselessScan,
     Transmission,
     fault_line,
+    told,
 )
 from cogradar.services.errors import Interrupted
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
@@ -82,7 +83,7 @@ class KeptOpen:
         except Interrupted:
             raise
         except Exception as error:  # scores would lack dwells
-            raise FrontEndError(fault_line(f"truth: {type(error).__name__}: {error}")) from error
+            raise FrontEndError(fault_line(f"truth: {told(error)}")) from error
 
     def transmit(self, k: int, clock: tuple[int, int], asked: Transmission, now_s: float) -> ScanData | None:
         """Transmit dwell k and measure, as far as there is a front end; None: there are no more dwells.
@@ -179,7 +180,7 @@ class KeptOpen:
         """It is of no use any more."""
         self._counts.failures += 1
         is_its_own = isinstance(error, FrontEndError)
-        self.fault = fault_line(str(error) if is_its_own else f"{type(error).__name__}: {error}")
+        self.fault = fault_line(str(error) if is_its_own else told(error))
         self._tell("failed", now_s, None if is_its_own else error)
         self.close()
         self._delay_s = min(2.0 * self._delay_s or FIRST_S, LONGEST_S) if self._pacing.has_deadlines else 0.0

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from cogradar.services.delivery.pacing import pacing_at
-from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission, told
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 FIRST_S = 30.0  # for calls up to the first dwell after opening, which may have to load much
@@ -51,6 +51,7 @@ class InOwnThread:
         deadline_s: float,
         left: list[threading.Thread],
         first_s: float = FIRST_S,
+        *,
         opening_s: float | None = None,
     ) -> None:
         """left : where its thread is noted if a call hangs; opening_s : of opening, None: what time it needs."""
@@ -115,4 +116,4 @@ class InOwnThread:
             except Exception as error:  # noqa: BLE001 - somebody else's front end may raise anything
                 answers.put((None, error))
             except BaseException as error:  # noqa: BLE001 - SystemExit: the radar waits for an answer all the same
-                answers.put((None, FrontEndError(f"{type(error).__name__}: {error}")))
+                answers.put((None, FrontEndError(told(error))))

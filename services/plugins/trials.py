@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.emulator.cycle import compared, scan_message, transmission
-from cogradar.services.emulator.front_end import FrontEnd, Settings, Transmission
+from cogradar.services.emulator.front_end import FrontEnd, Settings, Transmission, told
 from cogradar.services.emulator.own_thread import FIRST_S, InOwnThread
 from cogradar.services.errors import RunFailed
 from cogradar.services.feed import feed
@@ -289,7 +289,7 @@ def _driven(
         finally:
             front_end.close()
     except Exception as error:
-        raise PluginFailed(f"{where if len(asked) > 1 else ''}{type(error).__name__}: {error}") from error
+        raise PluginFailed(f"{where if len(asked) > 1 else ''}{told(error)}") from error
     return scans, taken_ms
 
 

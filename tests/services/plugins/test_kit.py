@@ -59,8 +59,8 @@ def test_a_front_end_that_hangs_is_found(tmp_path: Path, monkeypatch: pytest.Mon
             r"^20 of acquisition and beams; the first in \S+ ms, the slowest, dwell \d+, in \S+ ms",
             True,
         ),
-        ("assert k < 7", r"^dwell 7: AssertionError", False),
-        ("assert waveform.isotropic", r"^dwell 5: AssertionError", False),  # it does not expect beams
+        ("assert k < 7", r"^dwell 7: mine\.py, line \d+: AssertionError", False),
+        ("assert waveform.isotropic", r"^dwell 5: mine\.py, line \d+: AssertionError", False),  # no beams
         ("if k == 9: return None", r"^9 of acquisition and beams; then there are no more; the first", True),
         ("return None", "^none: transmit returned None at the first one, which ends a run$", False),
         (
