@@ -126,7 +126,7 @@ def test_what_planners_and_allocator_received_is_everything_they_can(network: Ta
     assert readable == {Checkpoint, Scan, Plan, History, Handover, NoPlans}
     assert set(network.received) == readable - {Handover, NoPlans}
     recalled = {type(decode(inner)).__name__ for payload in network.received[History] for inner in _inner(payload)}
-    assert {"Scan", "Snapshot"} <= recalled <= {"Scan", "Snapshot", "Waveform"}
+    assert {"Scan", "Snapshot"} <= recalled <= {"Scan", "Snapshot", "Waveform", "Plan"}
     assert {type(event) for event in network.other} == {Membership}
 
 

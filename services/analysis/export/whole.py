@@ -14,6 +14,7 @@ def fault_of_file(given: str | Path) -> str:
     if given == "":
         return "has no name: name a file"
     try:
+        _look(file)
         if file.is_dir() or str(given).endswith(os.sep):
             return f"{file}: is a folder: name a file in it"
         if file.is_symlink() and not file.exists():
@@ -21,7 +22,7 @@ def fault_of_file(given: str | Path) -> str:
         if not file.parent.is_dir():
             return f"{file}: there is no folder {file.parent}: make it first, or name another one"
         above = file if file.exists() else file.parent
-    except OSError as error:  # the name is too long, or of a folder that may not be entered
+    except OSError as error:
         return f"{file}: {_reason(error)}: name another one"
     return "" if os.access(above, os.W_OK) else f"{file}: {above} may not be written to: name another file"
 
@@ -32,6 +33,7 @@ def fault_of_folder(given: str | Path) -> str:
     if given == "":
         return "has no name: name a folder; . is this one"
     try:
+        _look(folder)
         if folder.is_symlink() and not folder.exists():
             return f"{folder}: is a link that leads to no folder: name another one"
         above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
@@ -40,6 +42,14 @@ def fault_of_folder(given: str | Path) -> str:
     if not above.is_dir():
         return f"{folder}: {'is' if above == folder else f'{above} is'} a file: name a folder, which is made if need be"
     return "" if os.access(above, os.W_OK) else f"{folder}: {above} may not be written to: name another folder"
+
+
+def _look(path: Path) -> None:
+    """Raises OSError for a name that is too long, or in a folder that may not be entered: some Pythons say no more
+    than that nothing is there.
+    """
+    with suppress(FileNotFoundError, NotADirectoryError):
+        path.stat()
 
 
 def _reason(error: OSError) -> str:

@@ -34,8 +34,8 @@ CANCEL = RunCancel(run="r")
 
 
 def _said(core: RecorderCore, event: Event) -> list[Message]:
-    """What it answers, without its epoch."""
-    return [answer.model_copy(update={"epoch": 0}) for answer in core.handle(event)]
+    """What it answers, without its epochs."""
+    return [answer.model_copy(update={"epoch": 0, "leads": []}) for answer in core.handle(event)]
 
 
 def _row(store: Journal) -> dict[str, Any]:
