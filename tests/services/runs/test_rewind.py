@@ -87,13 +87,22 @@ def test_a_rewind_and_then_the_loss_of_everybody_else(undisturbed: Undisturbed) 
     assert network.scores() == undisturbed[1]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(
-    seed: int, undisturbed: Undisturbed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A recorder goes on for a while on a copy; the original, which then goes on, has more dwells and no order."""
+@pytest.fixture
+def _acknowledged_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The journal is right behind the radar, so that an order takes effect within the run."""
     monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", 2)
     monkeypatch.setattr(core, "CHECKPOINT_DWELLS", 1)
+
+
+def _order(network: FaultyNetwork) -> None:
+    network.publish("operator", Command(run=START.run, id="0f" * 16, by="operator", action=PowerLimit(share=0.3)))
+    network.processes.pop("operator")
+
+
+@pytest.mark.usefixtures("_acknowledged_at_once")
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(seed: int, undisturbed: Undisturbed) -> None:
+    """A recorder goes on for a while on a copy; the original, which then goes on, has more dwells and no order."""
     network = FaultyNetwork(START, 2, np.random.default_rng(seed))
     _step_until(network, lambda: _acknowledged(network) >= 12)
     copy, original = Store(_copy(network)), network.store
@@ -102,8 +111,7 @@ def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(
     network.store = copy
     network.start("recorder-0")
     _step_until(network, lambda: 14 <= _acknowledged(network) < 20)
-    network.publish("operator", Command(run=START.run, id="0f" * 16, by="operator", action=PowerLimit(share=0.3)))
-    network.processes.pop("operator")
+    _order(network)
     _step_until(network, lambda: _acknowledged(network) >= 24)
     network.kill("recorder-0")
     network.store = original
@@ -111,18 +119,16 @@ def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(
     assert play(network, {}) == undisturbed[0]
 
 
+@pytest.mark.usefixtures("_acknowledged_at_once")
 @pytest.mark.parametrize("seed", range(6))
 def test_who_was_away_while_a_recorder_began_twice_forgets_what_the_journal_lost(
-    seed: int, undisturbed: Undisturbed, monkeypatch: pytest.MonkeyPatch
+    seed: int, undisturbed: Undisturbed
 ) -> None:
     """The journal lost an order. When its second recorder begins it has more dwells than the planner was told of."""
-    monkeypatch.setattr(pacing, "MAX_AHEAD_DWELLS", 2)
-    monkeypatch.setattr(core, "CHECKPOINT_DWELLS", 1)
     network = FaultyNetwork(START, 2, np.random.default_rng(seed))
     _step_until(network, lambda: _acknowledged(network) >= 12)
     copy = _copy(network)
-    network.publish("operator", Command(run=START.run, id="0f" * 16, by="operator", action=PowerLimit(share=0.3)))
-    network.processes.pop("operator")
+    _order(network)
     _step_until(network, lambda: _acknowledged(network) >= 30)
     of_planners = {name: one for name, one in network.processes.items() if name.startswith("planner")}
     away, process = max(of_planners.items(), key=lambda one: sum(isinstance(sent, Plan) for sent in one[1].sent))
