@@ -66,7 +66,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
 def faults(
     error: ValidationError, model: type[BaseModel], document: Any = None, order: Callable[[Loc], Any] | None = None
 ) -> list[Fault]:
-    """All that `model` found, of which the first MAX_EXPLAINED are explained, and one more, which may be the last.
+    """All that `model` found: the first MAX_EXPLAINED + 1 with an explanation, the others with their place alone.
 
     document : in which it was found; with it, entries of lists after the first wrong one are looked at, too
     order    : of places; None: unknown keys first
@@ -84,7 +84,7 @@ def faults(
 def _further(
     errors: Sequence[ErrorDetails], value: Any, model: type[BaseModel], loc: tuple[int | str, ...] = ()
 ) -> Iterator[ErrorDetails]:
-    """Errors of later entries of lists, of which a model says the first wrong one alone, so that it takes no time."""
+    """Errors of the list entries behind the first wrong one, where the model stops to save time."""
     for key, field in model.model_fields.items() if isinstance(value, dict) else ():
         place, inner = (*loc, key), value.get(key)
         here = [error for error in errors if error["loc"][: len(place)] == place]

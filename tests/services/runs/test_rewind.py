@@ -45,6 +45,13 @@ def _acknowledged(network: FaultyNetwork) -> int:
     return rows[0]["k"] if rows else -1
 
 
+def _begin_on(network: FaultyNetwork, store: Store) -> None:
+    """A recorder begins on this journal, in place of the one that there was."""
+    network.kill("recorder-0")
+    network.store = store
+    network.start("recorder-0")
+
+
 def _step_until(network: FaultyNetwork, is_so: Callable[[], bool]) -> None:
     while not is_so():
         if not network.step():
@@ -60,9 +67,7 @@ def test_the_digest_is_the_same_after_a_rewind(back: int, loss: float, undisturb
     copy, copied = _copy(network), _acknowledged(network)
     _step_until(network, lambda: _acknowledged(network) >= max(48, copied + 1))
     acknowledged = _acknowledged(network)
-    network.kill("recorder-0")
-    network.store = Store(copy)
-    network.start("recorder-0")
+    _begin_on(network, Store(copy))
     assert _acknowledged(network) < acknowledged
     assert play(network, {}) == undisturbed[0]
     assert network.scores() == undisturbed[1]
@@ -74,9 +79,7 @@ def test_a_rewind_and_then_the_loss_of_everybody_else(undisturbed: Undisturbed) 
     _step_until(network, lambda: _acknowledged(network) >= 16)
     copy = _copy(network)
     _step_until(network, lambda: _acknowledged(network) >= 48)
-    network.kill("recorder-0")
-    network.store = Store(copy)
-    network.start("recorder-0")
+    _begin_on(network, Store(copy))
     for _ in range(200):
         if not network.step():
             network.tick()
@@ -107,15 +110,11 @@ def test_what_was_ordered_on_another_copy_of_the_journal_is_forgotten(seed: int,
     _step_until(network, lambda: _acknowledged(network) >= 12)
     copy, original = Store(_copy(network)), network.store
     _step_until(network, lambda: _acknowledged(network) >= 30)
-    network.kill("recorder-0")
-    network.store = copy
-    network.start("recorder-0")
+    _begin_on(network, copy)
     _step_until(network, lambda: 14 <= _acknowledged(network) < 20)
     _order(network)
     _step_until(network, lambda: _acknowledged(network) >= 24)
-    network.kill("recorder-0")
-    network.store = original
-    network.start("recorder-0")
+    _begin_on(network, original)
     assert play(network, {}) == undisturbed[0]
 
 
@@ -133,11 +132,10 @@ def test_who_was_away_while_a_recorder_began_twice_forgets_what_the_journal_lost
     of_planners = {name: one for name, one in network.processes.items() if name.startswith("planner")}
     away, process = max(of_planners.items(), key=lambda one: sum(isinstance(sent, Plan) for sent in one[1].sent))
     network.freeze(away)
-    for store, until in ((Store(copy), 40), (None, 44)):
-        network.kill("recorder-0")
-        network.store = store or network.store
-        network.start("recorder-0")
-        _step_until(network, lambda until=until: _acknowledged(network) >= until)  # type: ignore[misc]
+    _begin_on(network, older := Store(copy))
+    _step_until(network, lambda: _acknowledged(network) >= 40)
+    _begin_on(network, older)
+    _step_until(network, lambda: _acknowledged(network) >= 44)
     process.queues.clear()  # nothing reached it
     network.thaw(away)
     assert play(network, {}) == undisturbed[0]

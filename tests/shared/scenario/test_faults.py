@@ -111,7 +111,7 @@ n_tx = 0
 """)
     with pytest.raises(ScenarioError) as caught:
         load(str(file), ["radar.array.n_rx=0", "dwells=0"])
-    said = [re.match("(?:--set |[^:]*: )([^:=]*[^ :=])", line)[1] for line in caught.value.faults]  # type: ignore[index]
+    said = [key for line in caught.value.faults for key in re.findall("^(?:--set |[^:]*: )([^:=]*[^ :=])", line)]
     assert said == [
         "naem",
         "world.targets #1, bogus",
