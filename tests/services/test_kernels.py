@@ -22,7 +22,7 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.tables import BELIEFS, BIN_RULES
 from cogradar.shared.tracking.assignment.shares import unclaimed
 from cogradar.shared.wire.session import free_port
-from tests.shared.tracking.test_joint import LOBE, scan_of, shares
+from tests.shared.tracking.contested import LOBE, scan_of, shares
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 COMMANDS = {

@@ -1,77 +1,36 @@
-"""Tracks that compete for detections: who has which, who is hidden, who is in doubt; two aircraft that meet."""
+"""Tracks that compete for detections: who has which, who is hidden, who is in doubt."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from math import log
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from cogradar.shared.signal.array import around
-from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment.clusters import CLUTTER_DENSITY, P_D
-from cogradar.shared.tracking.assignment.shares import Share, share_of, unclaimed
+from cogradar.shared.tracking.assignment.shares import Share, unclaimed
 from cogradar.shared.tracking.assignment.solver import IN_DOUBT, assigned, is_in_doubt
 from cogradar.shared.tracking.association import associate
-from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
-from cogradar.shared.tracking.existence import MOST_P_D, BernoulliExistence, hit_ratio, miss_ratio, p_fa_of
-from cogradar.shared.tracking.model import NONE, TrackState
-from cogradar.shared.tracking.motion import predicted_states
+from cogradar.shared.tracking.existence import MOST_P_D, hit_ratio, miss_ratio, p_fa_of
+from cogradar.shared.tracking.model import TrackState
 from cogradar.shared.tracking.track import observe
-from tests.shared.tracking.models import smoke_model
-
-Floats = NDArray[np.float64]
-
-LOBE = LobeResponse(16, 16, 16, 0.5)
-LIMIT, SIGMA_HAT, NU_SIGMA = 20.0, 0.1, 0.002
-BEST_RANGE = smoke_model("best-range", n_particle=2000)
-UNKNOWN = replace(BEST_RANGE, existence=BernoulliExistence(1.0, 10.0, BEST_RANGE.acquisition.range_max_km))
-IMPOSSIBLE, EXISTENCE = -1e9, 0.99
-
-
-def scan_of(
-    echoes: Sequence[tuple[float, float, float]],
-    expected: Sequence[tuple[float, float]],
-    sigmas: tuple[float, float] = (0.002, 0.1),
-    missed: Sequence[float] = (),
-    k: int = 1,
-) -> Detections:
-    """Detections at (nu of the look, nu measured, range), and looks in vain; tracks expected at (nu, range).
-
-    Each track has a look where it is expected, and a gate of 4 km to either side.
-    """
-    seen = sorted(
-        [(nu, nu_hat, range_km, 1.0) for nu, nu_hat, range_km in echoes] + [(nu, nu, 49.25, 0.0) for nu in missed]
-    )
-    nus, nu_hats, ranges_km, hits = np.array(seen).reshape(-1, 4).T
-    places = np.array(expected)
-    return Detections(
-        k=k,
-        bins=np.floor((nus + 0.5) * 15 + 0.5).astype(np.int32),
-        statistic=np.where(hits > 0.0, 200.0 + np.arange(nus.size), 1.0),
-        alpha_hat=np.where(hits > 0.0, 1.0, 0.05).astype(np.complex64),
-        sigma_hat=np.full(nus.size, SIGMA_HAT),
-        signature_power=np.full(nus.size, 16.0),
-        beams=np.floor((places[:, :1] + 0.5) * 15 + 0.5).astype(np.int32),
-        nus=nus,
-        limits=np.full(nus.size, LIMIT),
-        ranges_km=ranges_km,
-        nu_hats=nu_hats,
-        nu_sigmas=np.where(hits > 0.0, NU_SIGMA, 0.0),
-        beam_nus=places[:, :1].copy(),
-        gates=np.floor(places[:, 1:]) + np.array([-4.0, 5.0]),
-        ids=np.arange(places.shape[0], dtype=np.int32),
-        expected=np.array([[nu, sigmas[0], range_km, sigmas[1], EXISTENCE] for nu, range_km in expected]),
-    )
-
-
-def shares(scan: Detections, response: LobeResponse = LOBE) -> list[Share]:
-    return [share_of(response, scan, own) for own in range(scan.beams.shape[0])]
+from tests.shared.tracking.contested import (
+    BEST_RANGE,
+    EXISTENCE,
+    IMPOSSIBLE,
+    LIMIT,
+    LOBE,
+    NU_SIGMA,
+    UNKNOWN,
+    Floats,
+    begun,
+    scan_of,
+    shares,
+)
 
 
 @pytest.mark.parametrize("end", [-0.5, 0.5])
@@ -367,83 +326,3 @@ def tentative() -> TrackState:
 
 def told(scan: Detections, target: int) -> Looks:
     return associate(BEST_RANGE, begun(target, (0.1, 0.0)), scan).looks
-
-
-def placed(nu: NDArray[np.floating], range_km: NDArray[np.floating]) -> Floats:
-    """(n, 2) in km."""
-    return np.column_stack((range_km * np.sqrt(1.0 - 4.0 * nu**2), range_km * 2.0 * nu))
-
-
-def begun(target: int, across: tuple[float, float], along: tuple[float, float] = (50.2, 0.0)) -> TrackState:
-    """A track at this direction and range, each with its change per dwell."""
-    rng, n = np.random.default_rng(target), BEST_RANGE.belief.n_particle
-    path = placed(across[0] + across[1] * np.arange(2), along[0] + along[1] * np.arange(2))
-    xy = placed(across[0] + 0.001 * rng.standard_normal(n), along[0] + 0.05 * rng.standard_normal(n))
-    v = path[1] - path[0] + 0.003 * rng.standard_normal((n, 2))
-    return TrackState(
-        target=target,
-        k=0,
-        belief=Particles(np.column_stack((xy[:, 0], v[:, 0], xy[:, 1], v[:, 1]))),
-        detected=True,
-        depleted=False,
-        sigma_hat=SIGMA_HAT,
-        in_beam=True,
-        level=SIGMA_HAT**2 * 16.0,
-        power=16.0,
-        echo=1.0,
-        remembered=NONE,
-        hit_bin=9,
-        hit_amplitude=10.0,
-        measured=np.array([across[0], across[0], NU_SIGMA, along[0]]),
-        looked=np.empty((0, BEST_RANGE.response.memory_width)),
-        log_evidence=0.0,
-        attempts=0,
-    )
-
-
-# Two aircraft that meet: their looks hear both, and those of one range cell as one.
-
-N_DWELL, MEET, RATES = 30, 15, np.array([0.003, 0.04])  # dwells; nu and km per dwell, of the second one the opposite
-
-
-def places_at(k: int) -> Floats:
-    """Direction and range of both, (2, 2)."""
-    return np.asarray(np.array([0.05, 50.25]) + np.array([[1.0], [-1.0]]) * RATES * (k - MEET))
-
-
-def expected_of(state: TrackState) -> list[float]:
-    x, _vx, y, _vy = predicted_states(state.belief.rows, BEST_RANGE.motion.dt).T
-    nus, ranges_km = 0.5 * y / np.hypot(x, y), np.hypot(x, y)
-    return [nus.mean(), nus.std(), ranges_km.mean(), ranges_km.std(), EXISTENCE]
-
-
-def met(k: int, expected: Floats, rng: np.random.Generator) -> Detections:
-    """What is seen of both where they are expected: of each range cell the sum of the echoes."""
-    nus, ranges_km = places_at(k).T
-    echoes, cells, turns = list[tuple[float, float, float]](), np.floor(ranges_km / 0.5), np.exp(6.3j * rng.random(2))
-    for nu in expected[:, 0].tolist():
-        for cell in np.unique(cells).tolist():
-            heard = turns * LOBE.loss(nus - nu) * (cells == cell)
-            if abs(heard.sum()) > 0.3:
-                nu_hat = float((heard @ nus / heard.sum()).real) + NU_SIGMA * rng.normal()
-                echoes.append((nu, nu_hat, (cell + 0.5) * 0.5))
-    return scan_of(echoes, expected[:, [0, 2]].tolist(), missed=expected[:, 0].tolist(), k=k)._replace(
-        expected=expected
-    )
-
-
-def are_kept(seed: int, *, is_told: bool) -> bool:
-    """Whether each track is near its own aircraft at the end; told where both tracks were expected, or not."""
-    rng, first = np.random.default_rng(seed), places_at(0)
-    rates = np.array([[1.0], [-1.0]]) * RATES
-    states = [begun(m, (first[m, 0], rates[m, 0]), (first[m, 1], rates[m, 1])) for m in range(2)]
-    for k in range(1, N_DWELL + 1):
-        scan = met(k, np.array([expected_of(state) for state in states]), rng)
-        states = [observe(BEST_RANGE, state, scan if is_told else scan._replace(expected=None)) for state in states]
-    ends = np.array([state.belief.rows[:, ::2].mean(axis=0) for state in states])
-    return bool(np.linalg.norm(ends - placed(*places_at(N_DWELL).T), axis=1).max() < 1.0)
-
-
-def test_two_that_meet_come_out_as_two_with_their_identities() -> None:
-    assert all(are_kept(seed, is_told=True) for seed in range(6))
-    assert not all(are_kept(seed, is_told=False) for seed in range(6))
