@@ -151,7 +151,7 @@ def _check_begun(stored: StoredRun, outcome: Replay, t: int, topics: str) -> Non
         )
     is_empty = stored.scenario.radar.is_unknown and t > 0
     if not outcome.agreed and not outcome.late and not outcome.other_scans and not is_empty:
-        raise BadInput(f"{stored.name}: no {topics} of dwell 0 is stored, as in the store of a campaign")
+        raise BadInput(f"{stored.name}: no dwell has {topics} stored, as in the store of a campaign")
 
 
 def _obeyed(given: Sequence[Order], messages: Sequence[Message], k: int, *, by_clock: bool) -> list[Order]:

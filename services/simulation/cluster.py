@@ -16,7 +16,7 @@ from cogradar.services.errors import BadInput, Deposed, StoreFailed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Retention
-from cogradar.services.simulation.checks import Told, Violated
+from cogradar.services.simulation.checks.runs import Told, Violated
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import ReceiverFaults, Watch, WatchedFrontEnd
 from cogradar.services.simulation.network.links import LIVELINESS, Links

@@ -26,6 +26,7 @@ from cogradar.shared.protocol.orders import (
     SectorSearch,
     Setting,
 )
+from cogradar.shared.protocol.topics import Role
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
 SCHEDULE = -1  # index of the generators that draw a schedule; a fault's index is its place in the list
@@ -121,6 +122,10 @@ class Fault:
     def settled_s(self) -> float:
         """When it is over; of one that never is, when it begins."""
         return self.until_s if self.until_s < math.inf else self.at_s
+
+    def touches(self, role: Role) -> bool:
+        """Whether it is of a process of a role, or of a link from or to one."""
+        return role in self.who or role in self.whom or self.kind is Kind.ROUTER
 
     def __str__(self) -> str:
         whom = f" to {self.whom}" if self.whom else ""

@@ -14,21 +14,15 @@ from cogradar.services.recorder import core
 from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal, order_of
 from cogradar.services.recorder.store.check import check_row, check_run, damages
-from cogradar.services.simulation.checks import (
+from cogradar.services.simulation.checks.real_time import check_real_time
+from cogradar.services.simulation.checks.runs import (
     Dwell,
     Violated,
-    check_begins,
-    check_in_time,
     check_journal,
-    check_once,
-    check_pace,
     check_planned_once,
     check_power,
-    check_recovered,
-    check_replayed,
     check_waveforms,
     fingerprint,
-    repeated,
 )
 from cogradar.services.simulation.cluster import Cluster
 from cogradar.services.simulation.disk import Disk
@@ -36,7 +30,7 @@ from cogradar.services.simulation.process import Process
 from cogradar.services.simulation.schedule import AHEAD_DWELLS, LEASE_S, LINKS, POOLS, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.skies import starts_of
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.protocol.messages import Checkpoint, Command, RunStart
+from cogradar.shared.protocol.messages import Checkpoint, Command
 from cogradar.shared.protocol.orders import Order, PowerLimit
 from cogradar.shared.protocol.topics import Role
 
@@ -216,7 +210,7 @@ class Simulator:
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
         if schedule.pacing.has_deadlines:
-            self._check_in_real_time(starts, radiated)
+            check_real_time(schedule, self._journal, starts, radiated, said.values())
         elif schedule.faults:
             _compare(found, undisturbed(schedule.plain(self._as_given(given))))
         return found
@@ -232,24 +226,6 @@ class Simulator:
             _, _, expected, *_ = undisturbed(self._schedule.plain(self._as_given(given)))[run]
             if row["status"] == "complete" and row["digest"] != expected:
                 raise Violated(f"{run}: its damage was believed: digest {row['digest']}, but undisturbed {expected}")
-
-    def _check_in_real_time(self, starts: Sequence[RunStart], radiated: Sequence[Dwell]) -> None:
-        """What must hold of a radar that does not wait for other processes. Raises Violated."""
-        schedule, faults, takeover_s = self._schedule, self._schedule.faults, self._schedule.takeover_s
-        at_emulator = [fault for fault in faults if _touches(fault, Role.EMULATOR)]
-        own_s = max((fault.settled_s for fault in at_emulator), default=0.0)
-        for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
-            check_pace(start, radiated, own_s + takeover_s)
-            check_recovered(self._journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
-            if all(Role.PLANNER in fault.who + fault.whom for fault in faults):
-                check_in_time(self._journal, start)
-        again = repeated(radiated)
-        may_lack_scans = any(_touches(fault, Role.RECORDER) for fault in faults)
-        if not may_lack_scans and not any(fault.kind in LINKS for fault in at_emulator):
-            check_once(again.values())
-        if not any(_touches(fault, Role.ALLOCATOR) for fault in faults):
-            check_begins(self._cluster.said.values())
-        check_replayed(self._journal, [start for start in starts if start.run not in again])
 
     def _given(self, run: str) -> list[Order | None]:
         """What became of the commands of a run, by number: an order, or None if it was refused."""
@@ -414,11 +390,6 @@ class Simulator:
         else:
             self._disk.is_full = is_there
             self._disk.limit()
-
-
-def _touches(fault: Fault, role: Role) -> bool:
-    """Whether a fault is of a process of a role, or of a link from or to one."""
-    return role in fault.who or role in fault.whom or fault.kind is Kind.ROUTER
 
 
 def _twin(fault: Fault) -> str:

@@ -20,10 +20,11 @@ from cogradar.services.recorder import journal
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.store.seal import message_checksum
-from cogradar.services.simulation import checks, memory, trials
+from cogradar.services.simulation import memory, trials
+from cogradar.services.simulation.checks import runs
 from cogradar.services.simulation.disk import Disk
 from cogradar.services.simulation.memory import Impure, Memory
-from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind
+from cogradar.services.simulation.schedule import JOINED_S, Asked, Fault, Kind, Schedule
 from cogradar.services.simulation.simulator import Outcome, _often, play, undisturbed
 from cogradar.shared.protocol.orders import Pause, PowerLimit
 from cogradar.shared.protocol.recovery import History
@@ -178,8 +179,20 @@ def test_what_a_run_is_compared_with_is_played_by_settings_of_its_own() -> None:
 
 def test_of_a_waveform_without_power_less_is_the_same() -> None:
     """In a pause the power is 0, and it was divided by it."""
-    assert checks._limited(("a", 0.0, b""), 0.5) == ("a", 0.0, b"")
-    assert checks._limited(("a", 2.0, b""), 0.5) == ("a", 0.5, b"")
+    assert runs._limited(("a", 0.0, b""), 0.5) == ("a", 0.0, b"")
+    assert runs._limited(("a", 2.0, b""), 0.5) == ("a", 0.5, b"")
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(9_400_259, id="what was not measured in the acquisition is no dwell"),
+        pytest.param(9_400_885, id="no room for the first dwells: no waveform is beside its plans"),
+        pytest.param(9_300_389, id="all who had the scans of the acquisition are gone"),
+    ],
+)
+def test_what_no_program_could_have_kept_is_no_violation(seed: int) -> None:
+    assert play(Schedule.draw(seed)).violation == ""
 
 
 @pytest.mark.parametrize("action", [PowerLimit(share=0.5), Pause(dwells=3)])

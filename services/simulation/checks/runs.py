@@ -1,35 +1,19 @@
-"""What must hold of a schedule, whatever its faults: in lockstep the same run, in real time what a radar promises."""
+"""What must hold of all runs, whatever the faults."""
 
 import hashlib
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from functools import partial
-from itertools import groupby, pairwise
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from cogradar.services.analysis.replay import CORES, replay
-from cogradar.services.analysis.stored_run import StoredRun
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.emulator.front_end import Transmission
-from cogradar.services.metrics.answers import answer
-from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
-from cogradar.shared.protocol.messages import ABSENT, Checkpoint, Message, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunStart, Waveform
 from cogradar.shared.protocol.orders import Order, in_force, is_paused, power_share
-from cogradar.shared.protocol.topics import BY_MESSAGE
-from cogradar.shared.signal.receiver import threshold
-from cogradar.shared.wire.codec import decode
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
-RECOVERED_S = 5.0  # after the last fault
 SHARED_S = 10.0  # after the last fault, and after the first plan of a track: planners have shared it, late plans or not
-LEAST_DWELLS = 10  # in which it is looked at
-LEAST_IN_TIME, LEAST_P_D = 0.9, 0.5
-SLACK = 0.2  # of a period that a dwell may come later than it is due
-_SCANS = "SELECT k, payload FROM message WHERE run = ? AND topic = 'scan' ORDER BY k"
 _OF_RUN = "SELECT status, reason, digest, acknowledged_k, acknowledged_t, acquisition_scans, conflicts FROM run"
 
 
@@ -140,67 +124,6 @@ def _limited(made: tuple[str, float, bytes], most: float) -> tuple[str, float, b
     return run, share * isotropic, (np.sqrt(share) * factor).astype(np.complex64).tobytes()
 
 
-def check_pace(start: RunStart, radiated: Iterable[Dwell], quiet_s: float) -> None:
-    """In real time each dwell is radiated when it is due, whatever happens to others than the emulator.
-
-    Those that could not be are not made up for. Raises Violated.
-    """
-    period_s = pacing_at(start.rate_hz).seconds(1)
-    times = [dwell.at_s for dwell in radiated if dwell.run == start.run]
-    for before, after in pairwise(times):
-        if before >= quiet_s and after - before > period_s * (1.0 + SLACK):
-            raise Violated(f"{start.run}: nothing was radiated from {before:.3f} to {after:.3f} s")
-    for before, after in zip(times, times[2:], strict=False):
-        if before >= quiet_s and after - before < period_s * (1.0 - SLACK):
-            raise Violated(f"{start.run}: three dwells were radiated from {before:.3f} to {after:.3f} s")
-
-
-def check_recovered(journal: Journal, start: RunStart, quiet_s: float) -> None:
-    """In real time plans and waveforms are in time again, some time after the last fault, and targets are seen.
-
-    Raises Violated.
-    """
-    first_k = math.ceil((quiet_s + RECOVERED_S) * start.rate_hz)
-    in_time, fresh, seen = list[bool](), list[bool](), list[bool]()
-    for _, of_dwell in groupby(journal.dwells(start.run, ("scan", "truth", "waveform"), from_k=first_k), itemgetter(0)):
-        by_type = {type(message): message for message in (decode(payload) for _, _, payload in of_dwell)}
-        match by_type.get(Waveform), by_type.get(Scan), by_type.get(Truth):
-            case Waveform() | None as sent, Scan() as scan, Truth() as truth:
-                in_time += [False] if sent is None else (sent.late == 0).tolist()
-                fresh += [scan.waveform_k is None]
-                p_fa = float(start.scenario["radar"]["detector"]["p_fa"])
-                limits = threshold(p_fa) if scan.limits is None else scan.limits
-                bins = np.asarray(scan.bins)[scan.statistic >= limits]
-                seen += [bool((np.abs(bins - bin_) <= 1).any()) for bin_ in truth.bins[truth.bins != ABSENT]]
-            case _:
-                pass
-    if len(seen) < LEAST_DWELLS:
-        return
-    for what, found in (("plans", in_time), ("waveforms", fresh)):
-        if (share := float(np.mean(found or [False]))) < LEAST_IN_TIME:
-            raise Violated(f"{start.run}: from dwell {first_k} on {share:.0%} of the {what} are in time")
-    if np.mean(seen) < LEAST_P_D:
-        raise Violated(f"{start.run}: from dwell {first_k} on targets are seen in {np.mean(seen):.0%} of the dwells")
-
-
-def check_in_time(journal: Journal, start: RunStart) -> None:
-    """In real time a waveform does not wait for planners that are away. Raises Violated."""
-    scans = (decode(payload) for _, payload in journal.rows(_SCANS, [start.run]))
-    late = [scan.k for scan in scans if isinstance(scan, Scan) and scan.t > 1 and scan.waveform_k is not None]
-    if late:
-        raise Violated(f"{start.run}: only planners were disturbed, and the waveforms of dwells {late} were late")
-
-
-def repeated(radiated: Iterable[Dwell]) -> dict[str, Dwell]:
-    """Of each run in which a dwell was radiated twice the last such one; if it can be, one behind the acquisition."""
-    known, found = set[tuple[str, int]](), dict[str, Dwell]()
-    for dwell in radiated:
-        if (dwell.run, dwell.k) in known and (dwell.t > 0 or dwell.run not in found):
-            found[dwell.run] = dwell
-        known.add((dwell.run, dwell.k))
-    return found
-
-
 def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float]], quiet_s: float) -> None:
     """Once planners have shared the tracks, each is planned by one of them. Raises Violated.
 
@@ -215,33 +138,6 @@ def check_planned_once(planned: Mapping[tuple[str, int, int], Mapping[str, float
         settled_s = max(quiet_s, since_s.setdefault((run, target), first_s)) + SHARED_S
         if len(at_s) > 1 and first_s >= settled_s:
             raise Violated(f"{run}: dwell {k} of track {target + 1} is planned by {' and '.join(sorted(at_s))}")
-
-
-def check_once(dwells: Iterable[Dwell]) -> None:
-    """In real time no dwell is repeated once tracks are followed: others know its first scan. Raises Violated."""
-    for dwell in dwells:
-        if dwell.t > 0:
-            raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated twice, the last time at {dwell.at_s:.3f} s")
-
-
-def check_replayed(journal: Journal, starts: Iterable[RunStart]) -> None:
-    """In real time, too, planners and allocator answered as what is journalled makes them answer. Raises Violated.
-
-    Of messages that differ the journal has the first, and counts the others: a process may have used one of those.
-    """
-    store, names = Store(journal), {start.run for start in starts}
-    answered = "SELECT run FROM run WHERE conflicts = 0 AND run IN (SELECT run FROM message WHERE topic = ?)"
-    for to, (_, _, kind) in CORES.items():
-        for run in [row[0] for row in journal.rows(answered, [BY_MESSAGE[kind].name]) if row[0] in names]:
-            if (found := replay(StoredRun(partial(answer, store), run), to).difference) is not None:
-                raise Violated(f"{run}: replayed to the {to}, it differs: {found}")
-
-
-def check_begins(said: Iterable[Message]) -> None:
-    """An allocator that nothing has disturbed lets tracks begin. Raises Violated."""
-    for message in said:
-        if isinstance(message, Waveform) and message.begins_none:
-            raise Violated(f"{message.run}: the waveform of dwell {message.k} begins no track")
 
 
 def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:

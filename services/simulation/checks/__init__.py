@@ -1,0 +1,1 @@
+"""What must hold of a schedule: in lockstep the same run, in real time what a radar promises."""
