@@ -22,11 +22,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from cogradar.running import Player, play
+from cogradar.running import Player, play, run_start
 from cogradar.running import load as load_scenario
 from cogradar.services.analysis.arrays.dwell import Dwell
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.messages import Plan, Waveform
+from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.sets import assigned, distance_of, squared_distances
 from cogradar.shared.signal.array import bin_centres
@@ -93,6 +94,7 @@ class _Radar(gymnasium.Env[Observation, Action]):
             raise BadInput("settings: a Scenario has all its values: give cogradar.load the settings, or here the name")
         given = {**self._quick, **settings}
         self._scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, given)
+        run_start(self._scenario, Strategy.UNIFORM, 0, dwells)  # each episode's, refused before the first
         self._dwells = dwells
         self._reward = REWARDS[reward]
         self._player: Player | None = None
@@ -235,9 +237,9 @@ class PaperEnv(_Radar):
             raise BadInput(f'{self._scenario.name}: needs a known number of targets, and cells = "bins"')
         if actions not in {"cells", "bins"}:
             raise BadInput(f"actions = {actions!r}: must be cells or bins")
-        m, self._n_bin = radar.announced, radar.array.n_bin
+        m, self._n_bin, self._is_weighted = radar.announced, radar.array.n_bin, actions == "cells"
         chosen: dict[str, spaces.Space[Any]] = {"bins": spaces.MultiDiscrete(np.full(m, self._n_bin))}
-        if actions == "cells":
+        if self._is_weighted:
             chosen["weights"] = spaces.Box(0.0, 1.0, (m,), np.float64)
         self.action_space = spaces.Dict(chosen)  # type: ignore[assignment] # a Dict of arrays is what Action says
         bins = {"best_bin": spaces.MultiDiscrete(np.full(m, self._n_bin))}
@@ -255,7 +257,7 @@ class PaperEnv(_Radar):
             return None
         array, m = self._scenario.radar.array, sent.beams.shape[0]
         bins = _numbers(action, "bins", m, self._n_bin - 1, whole=True).astype(np.int32)
-        weights = _numbers(action, "weights", m, 1.0) if "weights" in action else np.ones(m)
+        weights = _numbers(action, "weights", m, 1.0) if self._is_weighted else np.ones(m)
         shares = _shares(weights, array.power)
         factor = beam_factor(bin_centres(self._n_bin)[bins], shares, array.n_tx)
         told = {

@@ -202,12 +202,16 @@ def play(scenario: Scenario | str | Path, **how: Unpack[Playing]) -> Player:
     seed, planners = _whole("seed", how.get("seed", 1)), _whole("planners", how.get("planners", 1))
     if planners < 1:
         raise BadInput(f"planners = {planners}: must be at least 1")
-    dwells = how.get("dwells")
+    start = run_start(loaded, strategy, seed, how.get("dwells"))
+    return Player(ending(start), planners, how.get("store"), settled(front_end))
+
+
+def run_start(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None) -> "RunStart":
+    """What begins the run. Raises BadInput."""
     try:
-        start = RunStart.of(loaded, strategy, seed, None if dwells is None else _whole("dwells", dwells))
+        return RunStart.of(scenario, strategy, seed, None if dwells is None else _whole("dwells", dwells))
     except ValidationError as error:
         raise BadInput(explain(error, RunStart)) from None
-    return Player(ending(start), planners, how.get("store"), settled(front_end))
 
 
 def run(
