@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import ClassVar
 
-BY_USER = "by user"  # reason of a run that was stopped,
-INTERRUPTED = "interrupted"  # ... and of one that failed because its processes are gone
+INTERRUPTED = "interrupted"  # reason of a run that failed because its processes are gone
 
 
 class Failure(Exception):

@@ -34,7 +34,15 @@ from cogradar.services.emulator.front_end import (
 )
 from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.shared.protocol.events import Event, Tick
-from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
+from cogradar.shared.protocol.messages import (
+    MAX_REASON,
+    EmulatorCheckpoint,
+    Message,
+    Refused,
+    RunEnd,
+    Scan,
+    Waveform,
+)
 from cogradar.shared.protocol.orders import Order, ends, in_force, is_paused, power_share
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.scenario.radar_config import RadarConfig
@@ -45,7 +53,6 @@ from cogradar.shared.wire.meter import Measures
 PAUSED = "transmission is paused"
 LOOK_S = 0.02  # lockstep: from a look for the answer of a front end that is asked aside to the next
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
-MAX_REASON = 500  # characters of a RunEnd's reason
 
 
 @dataclass

@@ -11,17 +11,18 @@ from types import MappingProxyType
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.order_book import FOR_END, URGENT_COMMANDS, OrderBook, commands_kept_free
 from cogradar.services.delivery.pending import Pending
-from cogradar.services.errors import BY_USER, Damaged
+from cogradar.services.errors import Damaged
 from cogradar.services.recorder.damaged_runs import set_aside
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
 from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import plans_of, recalled
-from cogradar.services.recorder.recorded_run import MAX_REASON, OfDwell, RecordedRun
+from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
 from cogradar.services.recorder.store.check import check_count, check_row
 from cogradar.services.recorder.store.database import deposed
 from cogradar.services.recorder.store.tables import MAX_COMMANDS
 from cogradar.shared.protocol.events import Event, Tick
 from cogradar.shared.protocol.messages import (
+    MAX_REASON,
     Checkpoint,
     Command,
     Message,
@@ -128,7 +129,7 @@ class RecorderCore:
             case Scan() | Truth() | Plan() | Waveform() | Snapshot():
                 answers = self._take(event)
             case RunEnd() | RunCancel():
-                answers = self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
+                answers = self._end(event if isinstance(event, RunEnd) else self._cancelled(event))
             case Command():
                 answers = self._command(event)
             case NoPlans() | NoWaveforms():
@@ -241,11 +242,11 @@ class RecorderCore:
         start = self._start_of(run)
         return () if start is None else RecordedRun(start).checkpoint(ended=True)
 
-    def _cancelled(self, run: str) -> RunEnd:
+    def _cancelled(self, cancel: RunCancel) -> RunEnd:
         """The end of a run as it is. One that is not known yet ends when it begins."""
-        known = self._runs.get(run)
+        known = self._runs.get(cancel.run)
         k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
-        return RunEnd(run=run, k=k, t=t, status="stopped", reason=BY_USER)
+        return RunEnd(run=cancel.run, k=k, t=t, status="stopped", reason=cancel.reason)
 
     def _hindered(self, by: NoPlans | NoWaveforms) -> Sequence[Message]:
         """A process cannot do its part of a run: end it, or say in the journal what it waits for."""

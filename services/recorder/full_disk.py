@@ -43,7 +43,7 @@ class Recorder:
         self._ticks = self._looked = 0
         self._trouble = ""
         self._planners: Sequence[str] | None = None
-        self._cancelled: set[str] = set()  # meanwhile
+        self._cancelled: dict[str, RunCancel] = {}  # meanwhile, by run
         self._damaged: dict[str, str] = {}  # runs that are to be set aside when it begins, and why
         try:
             journal.expire_after(LEASE_S)  # from the first moment: one that freezes while it begins has it, too
@@ -141,14 +141,14 @@ class Recorder:
         self._journal.check_room()
         core = self._begin()
         log.warning("%s: it can be written again", self._journal.path)
-        self._ticks, cancelled, self._cancelled = 0, self._cancelled, set()
-        ended = [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
+        self._ticks, cancelled, self._cancelled = 0, self._cancelled, {}
+        ended = [answer for _, cancel in sorted(cancelled.items()) for answer in core.handle(cancel)]
         return [*core.lead(), *ended]
 
     def _note(self, event: Event) -> None:
         """A client does not repeat its request to cancel a run for ever."""
         if isinstance(event, RunCancel) and len(self._cancelled) < MAX_RUNS:
-            self._cancelled.add(event.run)
+            self._cancelled.setdefault(event.run, event)
 
     def _held(self) -> Sequence[Message]:
         """The last checkpoint of each run that goes on, which says why it does not."""

@@ -14,6 +14,7 @@ from cogradar.services.recorder.run_digest import RunDigest
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.admission import check_dwell, check_parts, check_plan, check_roster, check_snapshot
 from cogradar.shared.protocol.messages import (
+    MAX_REASON,
     Checkpoint,
     Command,
     EmulatorCheckpoint,
@@ -47,7 +48,6 @@ _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 ASK_TICKS = 3  # in real time: from a request for a scan to the next
 MAX_HINDERED = 8  # processes of which it is kept why they cannot do their part
 NAMED = 5  # planners that are waited for, and tracks
-MAX_REASON = 500  # characters of it, all together
 HINDERED_S = 10.0  # after it was said last it is over: the longest time between two checkpoints is 4 s
 _HINDERED_TICKS = round(HINDERED_S / TICK_S)
 

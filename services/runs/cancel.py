@@ -11,7 +11,7 @@ from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed
 from cogradar.services.metrics.client import CONNECT_WITHIN_S
 from cogradar.services.metrics.selection import LISTING
-from cogradar.shared.protocol.messages import RunCancel
+from cogradar.shared.protocol.messages import BY_USER, MAX_REASON, RunCancel
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.bus import Bus
 from cogradar.shared.wire.queries import NoAnswer, ask
@@ -63,12 +63,12 @@ def check_running(session: Session, run: str) -> None:
         raise BadInput(f"{run}: has ended already ({found})")
 
 
-def cancel(session: Session, bus: Bus, runs: Collection[str]) -> list[str]:
+def cancel(session: Session, bus: Bus, runs: Collection[str], reason: str = BY_USER) -> list[str]:
     """Cancel these runs; returns the runs whose end was not confirmed within some seconds."""
     left, deadline = list(runs), time.monotonic() + WITHIN_S
     while left and time.monotonic() < deadline:
         for run in left:
-            bus.publish(RunCancel(run=run))
+            bus.publish(RunCancel(run=run, reason=reason))
         try:
             left = [run for run in left if status(session, run, deadline) in {"unknown", "running"}]
         except NoAnswer:
@@ -89,9 +89,10 @@ def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collect
     try:
         yield
     except Exception as error:
-        names = runs()
+        names, said = runs(), str(error).partition("\n")[0]
+        reason = BY_USER if isinstance(error, Interrupted) else f"because {said or type(error).__name__}"
         try:
-            left = cancel(session, bus, names)
+            left = cancel(session, bus, names, reason[:MAX_REASON])
         except Exception:  # what ended the block is what the user must hear of
             log.exception("cancelling failed")
             left = list(names)

@@ -60,6 +60,9 @@ from cogradar.shared.signal.array import in_plane
 SCHEMA = 2
 MAX_FAULT = 200  # characters
 MAX_LEADS = 8  # epochs of a run that its checkpoints say
+MAX_REASON = 500  # characters that say why a run ended
+BY_USER = "by user"
+Reason = Annotated[str, Field(max_length=MAX_REASON)]
 ABSENT = -1  # bin of a target that is not there
 Parts = dict[str, tuple[str, ...]]
 
@@ -110,6 +113,8 @@ class RunStart(_Settings):
 
 class RunCancel(Message):
     """A run is to end before its time: operator -> recorder, which announces it by the run's last checkpoint."""
+
+    reason: Reason = BY_USER
 
 
 class Command(Message):
@@ -412,4 +417,4 @@ class RunEnd(Message):
     k: Index
     t: Index
     status: Literal["complete", "stopped", "failed"]
-    reason: Annotated[str, Field(max_length=500)] = ""
+    reason: Reason = ""

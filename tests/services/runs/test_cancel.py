@@ -57,6 +57,14 @@ def test_a_run_that_is_cancelled_ends_and_its_end_is_sent_as_often_as_it_is_canc
     assert _said(RecorderCore(store, resume=True), CANCEL) == ENDED
 
 
+def test_a_run_that_its_services_cannot_go_on_with_says_why_it_was_stopped() -> None:
+    store = Journal(":memory:")
+    core = RecorderCore(store)
+    core.handle(START)
+    assert _said(core, RunCancel(run="r", reason="because planner-0 ended too often")) == ENDED
+    assert _row(store) == {"status": "stopped", "reason": "because planner-0 ended too often", "digest": ""}
+
+
 def test_who_goes_on_with_a_run_that_is_over_is_told_so() -> None:
     core = RecorderCore(Journal(":memory:"))
     sent = play(START)
