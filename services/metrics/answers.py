@@ -5,6 +5,7 @@ Of a run without truth there are tracks, whose `detected` is that of the cell as
 
 import json
 import math
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from itertools import groupby
@@ -32,6 +33,7 @@ from cogradar.shared.wire.codec import BadMessage, fields
 Rows = list[dict[str, Any]]
 # When a run began and ended, and how long it is by its own clock.
 _CLOCKS = "began_s AS began, ended_s AS ended, acknowledged_t * dt_s AS length_s"
+SILENT_S = 10.0  # without a word of the recorder: of a run that stands still it has one each 4 s
 # What a run that is held waits for.
 NO_ROOM = "the journal: its disk is full, its file was removed, replaced or made read-only, or its server is away"
 
@@ -141,6 +143,8 @@ def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
     """
     if run["run"] in store.held:
         return {"waiting_for": NO_ROOM}
+    if (silent_s := time.monotonic() - store.heard.get(run["run"], math.inf)) > SILENT_S:
+        return {"waiting_for": f"the recorder, which has said nothing for {silent_s:.0f} s"}
     if run["k"] is None:
         return {"waiting_for": "the emulator's first scan"}
     try:

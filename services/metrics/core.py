@@ -124,8 +124,11 @@ class MetricsCore:
         """Note since when a run has had its newest dwell."""
         if checkpoint.ended:
             self._advanced.pop(checkpoint.run, None)
-        elif self._advanced.get(checkpoint.run, (-1, 0.0))[0] != checkpoint.k:
-            self._advanced[checkpoint.run] = checkpoint.k, time.monotonic()
+            self.store.heard.pop(checkpoint.run, None)
+            return
+        now_s = self.store.heard[checkpoint.run] = time.monotonic()
+        if self._advanced.get(checkpoint.run, (-1, 0.0))[0] != checkpoint.k:
+            self._advanced[checkpoint.run] = checkpoint.k, now_s
 
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON. Raises NotNow while a server does not answer."""

@@ -56,6 +56,7 @@ class Store:
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self._unsummed: dict[str, int] = {}  # runs with scores that are not in the sums yet: the first such dwell t
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
+        self.heard: dict[str, float] = {}  # when the recorder said something of a run that goes on
         self.scores.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         self.scores.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
         self.scores.create_temporary(f"TABLE pictured ({definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID")
@@ -313,6 +314,7 @@ class Store:
         self.unreadable.pop(run, None)
         self._damaged.pop(run, None)
         self.held.discard(run)
+        self.heard.pop(run, None)
         self.scores.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         self.scores.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
         sums.remove(self.scores, run)

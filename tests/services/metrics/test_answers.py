@@ -1,14 +1,19 @@
 """Answers to questions: what they are of, and what is said where there is none."""
 
+import json
+import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.store.database import Database
 from cogradar.services.runs.run import PICTURE, result
 from cogradar.shared.protocol.events import Tick
@@ -16,7 +21,7 @@ from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Tru
 from cogradar.shared.protocol.recovery import NoPlans
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
-from tests.services.loop import play, scans, smoke_start
+from tests.services.loop import checkpoints, play, scans, smoke_start
 
 DWELLS = 8
 
@@ -95,6 +100,30 @@ def test_a_run_in_progress_names_the_planners_that_brought_no_plans(sent: list[M
     late = [NoPlans(run="r", process=name, reason=said, ends=False, late=True) for name in ("a", "b")]
     (run,) = answer(_recorded([*sent[:4], *late]), "runs", {})
     assert run["waiting_for"] == f"a planner: plan of track 1, 2 at dwell 0; {said}"
+
+
+def test_a_run_whose_recorder_is_frozen_waits_for_the_recorder(
+    sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The journal alone looks as if the next scan did not come."""
+    recorder, now_s = RecorderCore(Journal(str(tmp_path / "r.db"))), time.monotonic()
+    core = MetricsCore(str(tmp_path / "r.db"))
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    for message in sent[:20]:
+        for said in recorder.handle(message):
+            core.handle(said)
+
+    def waits() -> str:
+        (run,) = json.loads(core.answer("runs", {}))
+        return str(run["waiting_for"])
+
+    now_s += 9.0
+    assert waits().startswith("the emulator")
+    now_s += 3.0
+    assert waits() == "the recorder, which has said nothing for 12 s"
+    core.handle(checkpoints(sent[0], k=5, t=4)[0])
+    assert waits().startswith("the emulator")
+    core.close()
 
 
 def test_a_run_in_progress_whose_scan_is_damaged_hides_no_other(sent: list[Message]) -> None:
