@@ -191,9 +191,12 @@ def test_names_of_what_is_compared_are_whole_beside_three_charts(unknown: str, s
 @pytest.mark.parametrize("view", ["radar", "list", "runs"])
 def test_a_table_that_is_wider_than_the_screen_says_that_it_goes_on(view: str, stored: str, show: Open) -> None:
     address = f"{stored}/?run=hundred&dwell=30&view={view}"
-    said = show(address, width=400).locator(f"#{view} .goes-on")
-    expect(said).to_have_text("more columns →")
+    page = show(address, width=400)
+    said = page.locator(f"#{view} .goes-on")
     place = said.locator("xpath=following-sibling::*[1]")
+    expect(page.locator("#dwell")).to_have_text("30")
+    expect(place.locator("tbody tr").first).to_be_visible()  # its head alone is narrower, and ends earlier
+    expect(said).to_have_text("more columns →")
     expect(place).to_have_attribute("data-goes-on", "right")
     assert "gradient" in place.evaluate("(node) => getComputedStyle(node).maskImage")
     place.evaluate("(node) => node.scrollTo({ left: 30 })")
