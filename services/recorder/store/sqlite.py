@@ -394,6 +394,8 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
             guess = f"; did you mean {close[0]}?" if close else ""
             return NoStoreYet(f"{path!r}: no such file{guess}")
         return BadInput(f"{path}: {of_system.strerror}")
-    if name.startswith(_DAMAGED) and name != "SQLITE_NOTADB":  # which is any other file
+    is_other = name == "SQLITE_NOTADB"
+    if name.startswith(_DAMAGED) and not is_other:
         return BadInput(beyond_cure(path, f"{path}: {error}"))
-    return BadInput(printable(f"{path}: {error}"))  # SQLite quotes what it found in the file
+    said = "no store of runs, but a file of another kind" if is_other else error
+    return BadInput(printable(f"{path}: {said}"))  # SQLite quotes what it found in the file
