@@ -146,6 +146,8 @@ def _named(name: str) -> tuple[Callable[[Settings], FrontEnd], str]:
     except PluginError as error:
         is_none = not all(name.rpartition(":"))  # no source, or no name in it
         must = f"must be {SIMULATED}, {RECORDED}FILE[#RUN], {ZENOH}NAME[@ENDPOINT], or your own: {OWN}"
+        if is_none and name.endswith(".py"):
+            must = f"say which class or function of it makes front ends: {name}:NAME"
         raise BadInput(f"{name}: {must if is_none else without_name(error, name)}") from None
     return made, source
 

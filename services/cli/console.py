@@ -340,6 +340,10 @@ def wrong_usage(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     where = f" (see {context.command_path} --help)" if context is not None else ""
     if not isinstance(error, typer.BadParameter) or not error.message:
+        pieces = [] if context is None else context.command.collect_usage_pieces(context)[1:]
+        if isinstance(error, typer.BadParameter) and len(pieces) > 1:  # of several arguments any may be the missing one
+            words = [piece.replace("{", "").replace("}", "").replace("......", "...") for piece in pieces]
+            where = f": {' '.join([context.command_path, *words])}{where}"
         return " ".join(error.format_message().split()).removesuffix(".") + where
     name = error.param_hint
     if error.param is not None:

@@ -170,6 +170,7 @@ def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> 
     [
         ("hardware", "must be simulated, recorded:FILE"),
         ("receiver.py:", "must be simulated, recorded:FILE"),
+        ("receiver.py", "say which class or function of it makes front ends: receiver.py:NAME"),
         ("nowhere.py:Receiver", "No such file"),
         ("no_such_package.module:Receiver", "No module named"),
         ("json:Receiver", "there is no Receiver"),

@@ -25,8 +25,10 @@ class JournalLock:
             self._file = self._take(path)
             self.sign(path, owner)
         except OSError as error:
-            what = "" if error.errno in _NO_PLACE else "no lock on it: "
-            raise BadInput(f"{path}: {what}{error.strerror}") from None
+            why = error.strerror if error.errno in _NO_PLACE else f"no lock on it: {error.strerror}"
+            if error.errno == errno.ENOENT:
+                why = f"there is no folder {Path(path).parent}: make it first"
+            raise BadInput(f"{path}: {why}") from None
 
     def sign(self, path: str, owner: str) -> None:
         """Write the owner and the file's identity into the lock; again, once a new file is there."""
