@@ -23,7 +23,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser screenshots node nightly lint format lock diagram paper beyond skies array reliability notice release sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-arm test-browser test-page test-page-speed screenshots node nightly lint format lock diagram paper beyond skies array reliability notice release sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -62,9 +62,13 @@ test-arm: setup ## test ARM64 and a Haswell under QEMU, alone and beside this on
 	$(BIN)/python -m pytest -m arm -o faulthandler_timeout=3600 $(ARGS) tests/arm
 
 # The tests of one file share its runs, and stay in one process; those by the clock have nothing beside them.
-test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "browser and not nightly" $(if $(ARGS),$(ARGS),--ignore=$(PAGE_BY_THE_CLOCK)) $(PAGE)
-	$(if $(ARGS),,$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK))
+test-browser: test-page test-page-speed ## test the page; needs Chromium (Debian: apt install chromium-headless-shell, or chromium)
+
+test-page: setup ## test the page, but for how fast it is
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "browser and not nightly" --ignore=$(PAGE_BY_THE_CLOCK) $(ARGS) $(PAGE)
+
+test-page-speed: setup ## ... and how fast it is, with nothing beside it
+	$(BIN)/python -m pytest -m "browser and not nightly" $(ARGS) $(PAGE_BY_THE_CLOCK)
 
 # AsyncAPI's own parser, MessagePack in JavaScript, and axe for the page. Without them their tests are skipped.
 node: ## what some tests run in Node; needs npm
@@ -77,20 +81,20 @@ screenshots: setup ## draw docs/figures/page-* (pictures, and ten seconds with a
 SIMULATED := build/simulated.json
 nightly: setup ## what takes too long for every change: the nightly tests, make chaos, a million simulated schedules
 	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin cogradar
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 cogradar
 	$(BIN)/python -m pytest -m "nightly and not (docker or netns)" -o faulthandler_timeout=3600 $(ARGS)
 	docker info >/dev/null && $(BIN)/python -m pytest -m "nightly and (docker or netns)" tests/containers
 	$(MAKE) chaos
 	@mkdir -p $(dir $(SIMULATED))
 	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)
 
-# Tests and studies are for Linux: they stop processes by signals, and read what they used. Windows lacks nearly all that
-# macOS does; as there, types are checked at night: each check takes a minute of processor time.
-lint: setup ## style, types (also as on Windows), import rules, and what is published for other languages
+# Types as on macOS and Windows are checked at night: each check takes a minute of processor time. Tests and studies are
+# for Linux alone: they stop processes by signals, and read what they used.
+lint: setup ## style, types, import rules, and what is published for other languages
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/codespell
 	$(BIN)/mypy
-	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 cogradar
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m tests.contract
 

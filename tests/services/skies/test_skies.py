@@ -55,7 +55,7 @@ def test_a_radar_finds_and_keeps_most_of_a_thousand_aircraft(tmp_path: Path) -> 
     """300 tracks were the most, and 999 aircraft."""
     write(Asked("1000", 1, 1, None, None, 0.0, RANGE_KM), tmp_path / "crowd.toml", force=False)
     scenario = load(str(tmp_path / "crowd.toml"), [f"radar.max_tracks={MAX_TRACKS}"])
-    done = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 20))
+    done = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 12))
     assert done.run["status"] == "complete"
     assert sum(row["tracked"] for row in done.targets) > 750
 
