@@ -62,10 +62,10 @@ test-arm: setup ## test ARM64 and a Haswell under QEMU, alone and beside this on
 	$(BIN)/python -m pytest -m arm -o faulthandler_timeout=3600 $(ARGS) tests/arm
 
 # The tests of one file share its runs, and stay in one process; those by the clock have nothing beside them.
-test-browser: test-page test-page-speed ## test the page; needs Chromium (Debian: apt install chromium-headless-shell, or chromium)
+test-browser: test-page $(if $(ARGS),,test-page-speed) ## test the page; needs Chromium (Debian: apt install chromium-headless-shell, or chromium)
 
 test-page: setup ## test the page, but for how fast it is
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "browser and not nightly" --ignore=$(PAGE_BY_THE_CLOCK) $(ARGS) $(PAGE)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "browser and not nightly" --ignore=$(PAGE_BY_THE_CLOCK) $(ARGS) $(if $(findstring tests/,$(ARGS)),,$(PAGE))
 
 test-page-speed: setup ## ... and how fast it is, with nothing beside it
 	$(BIN)/python -m pytest -m "browser and not nightly" $(ARGS) $(PAGE_BY_THE_CLOCK)

@@ -115,6 +115,9 @@ class _Radar(gymnasium.Env[Observation, Action]):
         """Radiate what the action says, and measure; the action is that for the dwell after the last observation."""
         if self._player is None:
             raise BadInput("step: reset the environment first")
+        known = [*getattr(self.action_space, "spaces", ())]
+        if unknown := [name for name in action if name not in known]:
+            raise BadInput(f"action: {unknown[0]}: must be one of {', '.join(known)}")
         try:
             self._dwell = self._player.send(self._waveform(self.dwell, action))
         except StopIteration:

@@ -110,6 +110,7 @@ MUTANTS = (
         RECORDER,
         "if snapshot.k >= run.acknowledged[0]:",
         "if snapshot.k >= run.acknowledged[0] + 999:",
+        harmless="planners send none before they are told so, and what a lost journal had told them is dropped",
     ),
     Mutant(
         "checksums of messages are not looked at",
@@ -159,6 +160,7 @@ MUTANTS = (
         PLANNER,
         "self._workers = tuple(sorted(there))",
         "self._workers = tuple(sorted({*there, *self._workers}))",
+        missed="3 s later its plans are overdue, and others take its tracks; tests of takeovers within 2 s find it",
     ),
     Mutant(
         "no track is taken from a planner that brings no plans",

@@ -23,9 +23,7 @@ from cogradar.shared.scenario.plugins.names import PluginFailed, PluginRefused, 
 from cogradar.shared.scenario.plugins.resolver import load_for
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
-# When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
-# waveform, the second one while no plan comes at all.
-AFTER_FIRST, AFTER_WAVEFORM, AFTER_COASTING = 0.5, 1.5, 1.0
+DUE = 0.5  # periods after the first message of its dwell that is of use an answer is due in real time
 log = logging.getLogger(__name__)
 
 
@@ -54,7 +52,7 @@ class _Run:
         return self.pacing.first_open(self.k, self.resend.k)
 
     def expect(self, k: int, periods: float | None) -> None:
-        """The waveform of dwell k is due so many periods from now; None: once there is a plan."""
+        """The waveform of dwell k is due so many periods from now; None: once something of its dwell is here."""
         self.k, self.due_s = k, None
         self.wait_s = None if periods is None else self.pacing.wait_s(periods)
 
@@ -200,8 +198,6 @@ def _collect(run: _Run, plan: Plan) -> Sequence[Message]:
     if plan.target not in run.newest or plan.k > run.newest[plan.target].k:
         run.newest[plan.target] = plan
     first, plans = run.first_open, run.plans
-    if plan.k == run.k - 1 < first:  # just too late: the next one comes a period after it, and is to be awaited
-        run.expect(run.k, AFTER_WAVEFORM)
     if not first <= plan.k < first + MAX_DWELLS or plan.target in plans[plan.k]:
         return ()
     plans[plan.k][plan.target] = plan
@@ -218,7 +214,7 @@ def _next(run: _Run, k: int, *, is_first: bool) -> Sequence[Message]:
         run.held.discard(k)
         return _answer(run, k)
     if is_first:
-        run.expect(k, AFTER_FIRST)
+        run.expect(k, DUE)
     return ()
 
 
@@ -257,8 +253,5 @@ def _answer(run: _Run, k: int) -> Sequence[Message]:
     run.newest = {plan.target: plan for plan in update.plans} | {m: p for m, p in run.newest.items() if p.k > k}
     if run.pacing.loses_dwells:
         run.forget(k + 1)
-    due = AFTER_WAVEFORM if any(plan.k == k for plan in update.plans) else AFTER_COASTING
-    # While targets are acquired there is nothing to extrapolate, and a dwell in which nothing was measured does not
-    # count. The radar repeats it, and an allocator that went on by the clock would be ahead of it.
-    run.expect(k + 1, due if answer.tracking else None)
+    run.expect(k + 1, None)
     return run.resend.add(k, (answer,))

@@ -14,14 +14,20 @@ from cogradar.shared.scenario.radar_config import RadarConfig
 
 
 class AnnouncedTracks:
-    """A fixed roster: its tracks are there from the first dwell to the last, and no scan says more."""
+    """A fixed roster: its tracks are there from the first dwell to the last. A scan says how far the radar is."""
 
     def __init__(self, radar: RadarConfig, pacing: Pacing) -> None:
         self._ids, self._pacing = frozenset(range(radar.announced)), pacing
+        self._newest_k = -1  # in real time: of a scan that tracks are followed in
 
-    def take(self, _scan: Scan, _first_k: int) -> bool:
-        """Whether a scan is of use: none is."""
-        return False
+    def take(self, scan: Scan, first_k: int) -> bool:
+        """Whether a scan is of use: in real time, for the waveform after it is due whether or not plans come.
+
+        While targets are acquired there is nothing to extrapolate, and the radar repeats a dwell that measured nothing.
+        """
+        is_new = self._pacing.has_deadlines and scan.t > 0 and scan.k >= max(first_k, self._newest_k + 1)
+        self._newest_k = scan.k if is_new else self._newest_k
+        return is_new
 
     def note(self, plan: Plan) -> None:
         """A plan has come. It says nothing new."""
@@ -31,12 +37,14 @@ class AnnouncedTracks:
         return self._ids
 
     def update(self, k: int, plans: Mapping[int, Plan], _orders: Iterable[Order]) -> TrackUpdate | None:
-        """The tracks after dwell k; None unless there is a plan of each track, and one of them is new.
+        """The tracks after dwell k; None unless the radar has come to it, there is a plan of each, and one is new.
 
         plans : of dwell k by track, or else the newest ones
         """
         newest_k = max((plan.k for plan in plans.values()), default=0)
         if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > COASTED_S:
+            return None
+        if k > max(newest_k, self._newest_k):
             return None
         return unchanged([plans[m] for m in sorted(self._ids)], k)
 

@@ -114,7 +114,6 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             outcome, recorded = _of_these_scans(outcome, recorded, inputs, answers, lost_k)
         # In real time the allocator goes on from the roster that it sent last, where a scan has an older one.
         is_stale = by_clock and to == "allocator" and k > first and _rosters(inputs) != _rosters(before)
-        is_stale = is_stale or (by_clock and _gave_up(recorded, answers, before))
         outcome = _compared(outcome, recorded, [] if is_stale else answers, (k, t), by_clock=by_clock)
         before = recorded
         report(n_fed + 1)
@@ -203,17 +202,6 @@ def _of_these_scans(
         and (plan.unseen == unseen[plan.target] if plan.target in unseen else plan.target not in old)
     ]
     return replace(outcome, other_scans=outcome.other_scans + len(recorded) - len(found)), found
-
-
-def _gave_up(recorded: Sequence[Message], answers: Sequence[Message], before: Sequence[Message]) -> bool:
-    """Whether a waveform goes on without tracks whose plans were late in the one before: now they came after it."""
-    was, now = (next(iter(_rosters(messages)), None) for messages in (recorded, answers))
-    if was is None or now is None:
-        return False
-    missing = {*now.ids.tolist()} - {*was.ids.tolist()}
-    sent = [(one.roster, one.late) for one in before if isinstance(one, Waveform) and one.roster is not None]
-    late = {m for roster, lates in sent for m, n in zip(roster.ids.tolist(), lates.tolist(), strict=True) if n}
-    return bool(missing) and missing <= late
 
 
 def _rosters(messages: Sequence[Message]) -> list[Roster]:

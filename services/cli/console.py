@@ -340,7 +340,8 @@ def wrong_usage(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     where = f" (see {context.command_path} --help)" if context is not None else ""
     if not isinstance(error, typer.BadParameter) or not error.message:
-        pieces = [] if context is None else context.command.collect_usage_pieces(context)[1:]
+        pieces = [] if context is None else context.command.collect_usage_pieces(context)
+        pieces = [piece for piece in pieces if not piece.startswith("[")]  # no options
         if isinstance(error, typer.BadParameter) and len(pieces) > 1:  # of several arguments any may be the missing one
             words = [piece.replace("{", "").replace("}", "").replace("......", "...") for piece in pieces]
             where = f": {' '.join([context.command_path, *words])}{where}"

@@ -43,7 +43,7 @@ from cogradar.shared.protocol.messages import (
     Scan,
     Waveform,
 )
-from cogradar.shared.protocol.orders import Order, ends, in_force, is_paused, power_share
+from cogradar.shared.protocol.orders import Order, ends, in_force, is_paused, is_paused_for_some, power_share
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.receiver import threshold
@@ -52,6 +52,8 @@ from cogradar.shared.wire.meter import Measures
 
 PAUSED = "transmission is paused"
 LOOK_S = 0.02  # lockstep: from a look for the answer of a front end that is asked aside to the next
+LATE = 0.2  # real time: periods after which a dwell is late, as after a receiver that is slower than the rate
+ANSWERED = 3  # dwells: a waveform that is no older shows that there is somebody who makes them
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 
 
@@ -67,6 +69,8 @@ class _Run:
     pacing: Pacing
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
+    waited_k: int = -1  # in real time: the newest dwell that was late, and waits, or has waited,
+    waits_until_s: float = 0.0  # ... at most until then
     begun_k: int = 0  # k when the run was begun here
     over: bool = False
     last_k: int | None = None  # dwell of the last scan, if that is known
@@ -145,7 +149,7 @@ class EmulatorCore:
                 self._pending.add(event)
             case Tick():
                 self._ticked_s = event.now_s
-                answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
+                answers = [answer for run in self._runs.values() for answer in _pulse(run, event)]
                 self._inactivity.note(answers)  # in real time the radar goes on, though no other process is left
                 return answers + [m for run in self._runs.values() for m in run.resend.again(drained=event.drained)]
         return ()
@@ -239,6 +243,8 @@ def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
     if run.pacing.has_deadlines:
         if waveform.k >= max(run.waveforms, default=0):
             run.waveforms = {waveform.k: waveform}
+        if run.waited_k == run.k <= waveform.k + 1:
+            run.due_s = None
     elif run.k - 1 <= waveform.k < run.k + MAX_AHEAD_DWELLS and not run.over:
         run.waveforms.setdefault(waveform.k, waveform)
     return _go_on(run)
@@ -278,12 +284,13 @@ def _go_on(run: _Run) -> Sequence[Message]:
     return answers
 
 
-def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
+def _pulse(run: _Run, now: Tick) -> Sequence[Message]:
     """In real time: transmit when it is due, with the newest waveform there is."""
     if run.awaits_answer:
         return _go_on(run)
+    now_s = now.now_s
     due_s = run.pacing.next_due_s(run.due_s, now_s)
-    if run.over or due_s is None:
+    if run.over or due_s is None or _waits(run, now):
         return ()
     overdue = 0 if run.due_s is None else run.pacing.overdue(run.due_s, now_s)
     run.due_s = due_s
@@ -296,6 +303,25 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     if waveform is not None and waveform.k >= run.k and (waveform.tracking or run.t > 0):
         _skip(run, waveform.k + 1)
     return _next_dwell(run, waveform, now_s)
+
+
+def _waits(run: _Run, now: Tick) -> bool:
+    """In real time: whether a dwell that is late anyway, as after a slow receiver, waits, for a period at most.
+
+    For the messages that have come, first: one for each dwell would fall behind, orders with them. Then for the
+    waveform of the dwell before, which takes some time: each dwell would be radiated with an older one. Nobody is
+    waited for who has not answered lately.
+    """
+    if run.due_s is None or now.now_s < run.due_s + run.pacing.seconds(1) * LATE:
+        return False
+    if run.waited_k != run.k:
+        run.waited_k, run.waits_until_s = run.k, now.now_s + run.pacing.seconds(1)
+    if now.now_s >= run.waits_until_s or not now.drained:
+        return now.now_s < run.waits_until_s
+    is_on_its_way = run.t > 0 and run.k - ANSWERED <= max(run.waveforms, default=-1) < run.k - 1
+    if is_on_its_way:
+        run.due_s = run.waits_until_s
+    return is_on_its_way
 
 
 def _skip(run: _Run, k: int) -> None:
@@ -340,7 +366,8 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     """One transmit-receive cycle, or the end of a front end that has no more of them.
 
     While targets are acquired in real time, a dwell without a measurement is none: the acquisition has none to spare.
-    As many more as it has are sent all the same, now and then, so that all are told of the fault.
+    As many more as it has are sent all the same, now and then, so that all are told of the fault; and each dwell of a
+    pause for a number of dwells, or it would never be over.
     """
     asked = _asked(run, k, waveform)
     is_tracking = run.is_tracking(waveform)
@@ -364,7 +391,8 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     if scan.t == 0 and not scan.bins.size:
         run.unmeasured, run.last_fault = run.unmeasured + 1, scan.fault or run.front_end.fault
         if run.pacing.loses_dwells:
-            if now_s < run.say_s or run.said >= run.radar.acquisition.max_scans:
+            may_wait = now_s < run.say_s and not is_paused_for_some(in_force(run.orders, k))
+            if may_wait or run.said >= run.radar.acquisition.max_scans:
                 return ()
             run.said, run.say_s = run.said + 1, now_s + SAY_S
     run.t, run.last_k = scan.t, k

@@ -5,7 +5,6 @@ Of a run without truth there are tracks, whose `detected` is that of the cell as
 
 import json
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from itertools import groupby
@@ -33,7 +32,7 @@ from cogradar.shared.wire.codec import BadMessage, fields
 Rows = list[dict[str, Any]]
 # When a run began and ended, and how long it is by its own clock.
 _CLOCKS = "began_s AS began, ended_s AS ended, acknowledged_t * dt_s AS length_s"
-SILENT_S = 10.0  # without a word of the recorder: of a run that stands still it has one each 4 s
+SILENT_S = 20.0  # without a word of the recorder: of a run that stands still it has one each 4 s, or 16 under load
 # What a run that is held waits for.
 NO_ROOM = "the journal: its disk is full, its file was removed, replaced or made read-only, or its server is away"
 
@@ -126,6 +125,8 @@ def _runs(store: Store, selection: Selection) -> Rows:
 def _hindered(run: dict[str, Any], store: Store) -> dict[str, Any]:
     """What a run waits for, and what hinders it."""
     now = _now(store, run)
+    if (silent_s := store.silent_s(run["run"], run["k"] or 0)) > SILENT_S and run["run"] not in store.held:
+        now["waiting_for"] = f"the recorder, which has said nothing for {silent_s:.0f} s"
     fault = f"not measured: {now['fault']}" if now.get("fault") else ""
     return now | {"waiting_for": "; ".join(text for text in (now["waiting_for"], run["reason"], fault) if text)}
 
@@ -143,8 +144,6 @@ def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
     """
     if run["run"] in store.held:
         return {"waiting_for": NO_ROOM}
-    if (silent_s := time.monotonic() - store.heard.get(run["run"], math.inf)) > SILENT_S:
-        return {"waiting_for": f"the recorder, which has said nothing for {silent_s:.0f} s"}
     if run["k"] is None:
         return {"waiting_for": "the emulator's first scan"}
     try:

@@ -112,6 +112,7 @@ class MetricsCore:
                 if self._behind and self.store.derive(self._behind[-1:], FOLLOW_DWELLS):
                     self._behind.pop()
             case Checkpoint():
+                self.store.heard_s = time.monotonic()
                 (self.store.held.add if event.held else self.store.held.discard)(event.run)
                 self._note(event)
                 self.store.derive([event.run], FOLLOW_DWELLS)
@@ -124,11 +125,8 @@ class MetricsCore:
         """Note since when a run has had its newest dwell."""
         if checkpoint.ended:
             self._advanced.pop(checkpoint.run, None)
-            self.store.heard.pop(checkpoint.run, None)
-            return
-        now_s = self.store.heard[checkpoint.run] = time.monotonic()
-        if self._advanced.get(checkpoint.run, (-1, 0.0))[0] != checkpoint.k:
-            self._advanced[checkpoint.run] = checkpoint.k, now_s
+        elif self._advanced.get(checkpoint.run, (-1, 0.0))[0] != checkpoint.k:
+            self._advanced[checkpoint.run] = checkpoint.k, time.monotonic()
 
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON. Raises NotNow while a server does not answer."""
@@ -172,6 +170,7 @@ class MetricsCore:
                     self._away = str(error)
                     log.warning("there is no journal yet: %s", error)
             return
+        store.heard_s = time.monotonic()
         before, self.store, self._open, self._away = self.store, store, found, ""
         before.close()
         self._behind = [row["run"] for row in store.read("SELECT run FROM run ORDER BY place")]  # the newest first

@@ -56,12 +56,22 @@ class Store:
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self._unsummed: dict[str, int] = {}  # runs with scores that are not in the sums yet: the first such dwell t
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
-        self.heard: dict[str, float] = {}  # when the recorder said something of a run that goes on
+        self.heard_s: float | None = None  # when something was heard of the recorder; None: nobody listens
+        self._seen_k: dict[str, int] = {}  # ... or seen: the newest dwell of runs that go on
         self.scores.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         self.scores.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
         self.scores.create_temporary(f"TABLE pictured ({definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID")
         self.scores.create_temporary("VIEW picture AS SELECT * FROM main.picture UNION ALL SELECT * FROM temp.pictured")
         sums.create(self.scores)
+
+    def silent_s(self, run: str, k: int) -> float:
+        """For how long the recorder has said nothing, and written no dwell k of a run that goes on."""
+        now_s = time.monotonic()
+        if self.heard_s is None:
+            return 0.0
+        if self._seen_k.get(run) != k:
+            self._seen_k[run], self.heard_s = k, now_s
+        return now_s - self.heard_s
 
     def close(self) -> None:
         """Close the journal."""
@@ -314,7 +324,7 @@ class Store:
         self.unreadable.pop(run, None)
         self._damaged.pop(run, None)
         self.held.discard(run)
-        self.heard.pop(run, None)
+        self._seen_k.pop(run, None)
         self.scores.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         self.scores.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
         sums.remove(self.scores, run)

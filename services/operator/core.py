@@ -75,7 +75,7 @@ class OperatorCore:
             return ()
         self._follow(other.run, None)
         self._k = other.k
-        return (RunCancel(run=own),) if own else ()
+        return (RunCancel(run=own, reason="for another run of this radar"),) if own else ()
 
     def _follow(self, run: str, start: RunStart | None) -> None:
         self._run, self._start = run, start

@@ -13,6 +13,7 @@ from cogradar.services.metrics.client import CONNECT_WITHIN_S
 from cogradar.services.metrics.selection import LISTING
 from cogradar.shared.protocol.messages import BY_USER, MAX_REASON, RunCancel
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.faults import printable
 from cogradar.shared.wire.bus import Bus
 from cogradar.shared.wire.queries import NoAnswer, ask
 from cogradar.shared.wire.session import Session, open_session
@@ -89,8 +90,8 @@ def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collect
     try:
         yield
     except Exception as error:
-        names, said = runs(), str(error).partition("\n")[0]
-        reason = BY_USER if isinstance(error, Interrupted) else f"because {said or type(error).__name__}"
+        names, said = runs(), printable(str(error).partition("\n")[0]) or type(error).__name__
+        reason = BY_USER if isinstance(error, Interrupted) else f"as it failed: {said}"
         try:
             left = cancel(session, bus, names, reason[:MAX_REASON])
         except Exception:  # what ended the block is what the user must hear of

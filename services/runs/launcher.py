@@ -185,7 +185,7 @@ class Launcher:
         if len(before) == MAX_RESTARTS:
             raise RunFailed(
                 f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts of it within"
-                f" {RESTART_WINDOW_S:.0f} s, which is the most. Its last lines:\n{self._tail(name) or '  (none)'}"
+                f" {RESTART_WINDOW_S:.0f} s, which is the most.\nIts last lines:\n{self._tail(name) or '  (none)'}"
             )
         before.append(now)
 

@@ -14,7 +14,7 @@ from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.services.simulation.schedule import LONG_DWELLS, RUN_SEEDS
 from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
-Watch = Callable[[str, int, int, Transmission], None]  # run, k, t, what is radiated
+Watch = Callable[[str, int, int, Transmission, bool], None]  # run, k, t, what is radiated, whether it is measured
 _CLOCKS = 2 * (RUN_SEEDS + 1) * LONG_DWELLS  # of all worlds: two skies, and the second run has the next seed
 
 
@@ -52,10 +52,14 @@ class WatchedFrontEnd:
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Transmit dwell k and measure."""
-        self._watch(self._checkpoint.run, k, t, waveform)
         scan, truth = simulated(self._world, k, t, waveform)
-        self._known = t, truth
-        return self._faults.measured(self._checkpoint, k, scan)
+        self._known, is_measured = (t, truth), False
+        try:
+            measured = self._faults.measured(self._checkpoint, k, scan)
+            is_measured = measured is scan
+        finally:
+            self._watch(self._checkpoint.run, k, t, waveform, is_measured)
+        return measured
 
     def truth(self, t: int) -> GroundTruth:
         """The truth at clock t."""

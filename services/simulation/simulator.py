@@ -241,9 +241,9 @@ class Simulator:
             for order in given.get(start.run, ())
         )
 
-    def _watch(self, run: str, k: int, t: int, waveform: Transmission) -> None:
+    def _watch(self, run: str, k: int, t: int, waveform: Transmission, is_measured: bool) -> None:
         told = self._cluster.told
-        self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform, told))
+        self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform, told, is_measured=is_measured))
         if not self._schedule.pacing.has_deadlines:
             told.check_ahead(run, k, pacing.MAX_AHEAD_DWELLS)
 

@@ -278,6 +278,11 @@ def is_paused(orders: Iterable[Order]) -> bool:
     return any(isinstance(order.action, Pause) for order in orders)
 
 
+def is_paused_for_some(orders: Iterable[Order]) -> bool:
+    """Whether orders in force let nothing be radiated for a number of dwells."""
+    return any(isinstance(order.action, Pause) and order.action.dwells is not None for order in orders)
+
+
 def searches(orders: Iterable[Order], nus: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.int64]:
     """How often each direction is searched in a sweep under orders in force: 0, 1 or 2; (n,) -> (n,).
 

@@ -17,6 +17,7 @@ from cogradar.shared.protocol.messages import (
     Lead,
     Message,
     Plan,
+    RunCancel,
     RunEnd,
     RunStart,
     Scan,
@@ -255,6 +256,7 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
             "log_evidence": -1e-300,
         },
     ),
+    RunCancel: ({}, {"reason": "x" * 500}),
     RunEnd: ({"k": 0, "t": 0}, {"k": LAST, "t": LAST, "status": "failed", "reason": "y" * 500}),
     Opening: ({"dwells": 1, "rate_hz": 0.0}, {"radar": SKY["radar"], "dwells": LAST, "rate_hz": 1000.0}),
     Hello: (

@@ -26,8 +26,8 @@ class JournalLock:
             self.sign(path, owner)
         except OSError as error:
             why = error.strerror if error.errno in _NO_PLACE else f"no lock on it: {error.strerror}"
-            if error.errno == errno.ENOENT:
-                why = f"there is no folder {Path(path).parent}: make it first"
+            if not (folder := Path(self._path).parent).is_dir():
+                why = f"there is no folder {folder}: make it first"
             raise BadInput(f"{path}: {why}") from None
 
     def sign(self, path: str, owner: str) -> None:

@@ -15,7 +15,7 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.simulation.checks.runs import Dwell, Violated
-from cogradar.services.simulation.schedule import LINKS, Schedule
+from cogradar.services.simulation.schedule import LINKS, Kind, Schedule
 from cogradar.shared.protocol.messages import ABSENT, Message, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import BY_MESSAGE, Role
 from cogradar.shared.scenario.combinations import UNKNOWN
@@ -27,7 +27,7 @@ LEAST_DWELLS = 10  # in which it is looked at
 LEAST_IN_TIME, LEAST_P_D = 0.9, 0.5
 SLACK = 0.2  # of a period that a dwell may come later than it is due
 _SCANS = "SELECT k, payload FROM message WHERE run = ? AND topic = 'scan' ORDER BY k"
-ACQUIRE = Role.RECORDER, Role.EMULATOR, Role.PLANNER
+FORGETS = frozenset({Kind.CRASH, Kind.LEAVE, Kind.GONE, Kind.MOVED})  # what a process that has them knew
 
 
 def check_real_time(
@@ -41,15 +41,17 @@ def check_real_time(
     faults, takeover_s = schedule.faults, schedule.takeover_s
     at_emulator = [fault for fault in faults if fault.touches(Role.EMULATOR)]
     own_s = max((fault.settled_s for fault in at_emulator), default=0.0)
-    # All who have the scans of the acquisition: docs/explanation/recovery.md.
-    at_all_who_acquire = all(any(fault.touches(role) for fault in faults) for role in ACQUIRE)
+    # All who have the scans of the acquisition lose them: docs/explanation/recovery.md.
+    forgets = {fault.who for fault in faults if fault.kind in FORGETS}
+    have = [name for name in schedule.names if name.startswith((Role.EMULATOR, Role.PLANNER))]
+    all_forget = forgets.issuperset(have) and any(fault.touches(Role.RECORDER) for fault in faults)
     for start in () if schedule.commands else starts:  # a radar that is paused, or has less power, may be blind
         check_pace(start, radiated, own_s + takeover_s)
-        if not (at_all_who_acquire and lacks_acquisition(journal, start)):
+        if not (all_forget and lacks_acquisition(journal, start)):
             check_recovered(journal, start, schedule.quiet_s - schedule.begins_s + takeover_s)
         if all(Role.PLANNER in fault.who + fault.whom for fault in faults):
             check_in_time(journal, start)
-    again = repeated(radiated, said)
+    again = repeated(radiated)
     may_lack_scans = any(fault.touches(Role.RECORDER) for fault in faults)
     if not may_lack_scans and not any(fault.kind in LINKS for fault in at_emulator):
         check_once(again.values())
@@ -105,7 +107,11 @@ def lacks_acquisition(journal: Journal, start: RunStart) -> bool:
     """Whether a scan of the acquisition is lost, without which a track of a known number cannot begin."""
     scans = [scan for _, payload in journal.rows(_SCANS, [start.run]) if isinstance(scan := decode(payload), Scan)]
     first_k = next((scan.k for scan in scans if scan.t > 0), 0)
-    return start.scenario["radar"]["tracks"] != UNKNOWN and sum(scan.t == 0 for scan in scans) < first_k
+    return not _is_unknown(start) and sum(scan.t == 0 for scan in scans) < first_k
+
+
+def _is_unknown(start: RunStart) -> bool:
+    return bool(start.scenario["radar"]["tracks"] == UNKNOWN)
 
 
 def check_in_time(journal: Journal, start: RunStart) -> None:
@@ -116,17 +122,16 @@ def check_in_time(journal: Journal, start: RunStart) -> None:
         raise Violated(f"{start.run}: only planners were disturbed, and the waveforms of dwells {late} were late")
 
 
-def repeated(radiated: Iterable[Dwell], said: Iterable[Message]) -> dict[str, Dwell]:
+def repeated(radiated: Iterable[Dwell]) -> dict[str, Dwell]:
     """Of each run in which a dwell was radiated twice the last such one; if it can be, one behind the acquisition.
 
     What was radiated in the acquisition and not measured is no dwell: the next one has its number.
     """
-    measured = {(one.run, one.k, one.t) for one in said if isinstance(one, Scan)}
     known, found = set[tuple[str, int]](), dict[str, Dwell]()
     for dwell in radiated:
         if (dwell.run, dwell.k) in known and (dwell.t > 0 or dwell.run not in found):
             found[dwell.run] = dwell
-        if dwell.t > 0 or (dwell.run, dwell.k, dwell.t) in measured:
+        if dwell.t > 0 or dwell.is_measured:
             known.add((dwell.run, dwell.k))
     return found
 
@@ -143,16 +148,19 @@ def check_replayed(journal: Journal, starts: Iterable[RunStart]) -> None:
 
     Of messages that differ the journal has the first, and counts the others: a process may have used one of those.
     """
-    store, names = Store(journal), {start.run for start in starts}
+    store = Store(journal)
     answered = (
-        "SELECT run FROM run WHERE conflicts = 0 AND run IN (SELECT asked.run FROM message AS asked"
-        " JOIN message AS made USING (run, k) WHERE asked.topic = ? AND made.topic = ?)"
+        "SELECT 1 FROM run WHERE run = ? AND conflicts = 0 AND EXISTS (SELECT 1 FROM message AS asked"
+        " JOIN message AS made USING (run, k) WHERE asked.run = run.run AND asked.topic IN (?, ?) AND made.topic = ?)"
     )
     for to, (_, fed, kind) in CORES.items():
-        topics = [BY_MESSAGE[fed[0]].name, BY_MESSAGE[kind].name]  # of no dwell both may be left after a full disk
-        for run in [row[0] for row in journal.rows(answered, topics) if row[0] in names]:
-            if (found := replay(StoredRun(partial(answer, store), run), to).difference) is not None:
-                raise Violated(f"{run}: replayed to the {to}, it differs: {found}")
+        for start in starts:
+            # After a full disk no dwell may have both. Of a known number the allocator leaves the scans alone.
+            topics = [BY_MESSAGE[one].name for one in (fed if _is_unknown(start) else fed[:1])]
+            if not journal.rows(answered, [start.run, topics[0], topics[-1], BY_MESSAGE[kind].name]):
+                continue
+            if (found := replay(StoredRun(partial(answer, store), start.run), to).difference) is not None:
+                raise Violated(f"{start.run}: replayed to the {to}, it differs: {found}")
 
 
 def check_begins(said: Iterable[Message]) -> None:

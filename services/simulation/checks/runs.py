@@ -31,12 +31,15 @@ class Dwell(NamedTuple):
     isotropic: float
     factor: bytes
     orders: Sequence[Order]  # that the emulator had been told
+    is_measured: bool  # its receiver was not out
 
     @classmethod
-    def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission, told: "Told") -> "Dwell":
+    def of(
+        cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission, told: "Told", *, is_measured: bool
+    ) -> "Dwell":
         """A transmission of dwell k at clock t, `at`."""
         factor = waveform.factor.astype(np.complex64).tobytes()
-        return cls(run, at_s, *at, waveform.isotropic, factor, told.orders.get(run, ()))
+        return cls(run, at_s, *at, waveform.isotropic, factor, told.orders.get(run, ()), is_measured)
 
 
 class Told:

@@ -15,7 +15,7 @@ from cogradar.shared.signal.waveform import beampattern
 from cogradar.shared.wire.codec import encode
 from tests.samples import asked, sample
 from tests.scenarios import varied
-from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
+from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smoke_start
 
 
 def _plan(target: int, k: int = 0, bin_: int = 3, range_km: float = 40.0) -> Plan:
@@ -120,8 +120,8 @@ def test_in_real_time_the_acquisition_waits_for_the_radar() -> None:
     assert late.k == 3
 
 
-def test_in_real_time_plans_are_awaited_again_though_some_were_just_too_late() -> None:
-    """Its clock leapt once, and from then on it answered a period after its last answer: each time before the plans."""
+def test_in_real_time_a_clock_that_leaps_makes_no_plan_late() -> None:
+    """Once it answered a period after its last answer: after a leap each time before the plans."""
     core, start = AllocatorCore(), smoke_start(dwells=100).model_copy(update={"rate_hz": 10.0})
     core.handle(checkpoint(start))
     core.handle(Tick(0.0))
@@ -145,10 +145,30 @@ def test_in_real_time_plans_are_awaited_again_though_some_were_just_too_late() -
         for target in range(2):
             found += [one for one in core.handle(_plan(target, k=k, bin_=3 + 6 * target)) if isinstance(one, Waveform)]
         go_on(ahead_s + 0.1 * k + 0.003)
-    late = [waveform.k for waveform in found if waveform.late.any()]
-    assert late
-    assert max(late) < 10
-    assert [waveform.k for waveform in found][-5:] == [15, 16, 17, 18, 19]
+    assert not any(waveform.late.any() for waveform in found)
+    assert [waveform.k for waveform in found] == list(range(20))
+
+
+def test_in_real_time_an_announced_number_is_answered_for_no_dwell_that_the_radar_has_not_come_to() -> None:
+    """By the clock it went ahead of a receiver that was slower than its rate, and all plans came late."""
+    core, start = AllocatorCore(), smoke_start(dwells=100).model_copy(update={"rate_hz": 10.0})
+    core.handle(checkpoint(start))
+    scan = next(one for one in scans(play(smoke_start())) if one.t == 1)
+
+    def at(k: int) -> Scan:
+        return scan.model_copy(update={"k": k, "t": k + 1})
+
+    core.handle(at(0))
+    said = [core.handle(_plan(target, k=0)) for target in range(2)]
+    assert [len(one) for one in said] == [0, 1]
+    assert [core.handle(Tick(0.1 * i)) for i in range(50)] == 50 * [[]]
+    core.handle(at(1))  # and no plan comes: half a period later the plans before are extrapolated
+    assert core.handle(Tick(5.0)) == []
+    assert core.handle(Tick(5.049)) == []
+    (answer,) = core.handle(Tick(5.051))
+    assert isinstance(answer, Waveform)
+    assert (answer.k, answer.late.tolist()) == (1, [1, 1])
+    assert [core.handle(Tick(6.0 + i)) for i in range(5)] == 5 * [[]]
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
@@ -160,6 +180,7 @@ def test_an_estimate_at_the_very_edge_can_be_extrapolated(strategy: Strategy) ->
     for k in range(2):
         core.handle(_plan(0, k=k).model_copy(update=edge))
         core.handle(_plan(1, k=k))
+    core.handle(next(one for one in scans(play(smoke_start())) if one.t == 3).model_copy(update={"k": 2}))
     core.handle(Tick(0.0))
     (answer,) = core.handle(Tick(2.0))
     assert isinstance(answer, Waveform)

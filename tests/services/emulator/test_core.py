@@ -5,11 +5,12 @@ from numpy.typing import NDArray
 
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS
 from cogradar.services.delivery.resend import MAX_DWELLS
-from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.core import PAUSED, EmulatorCore
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
+from cogradar.shared.protocol.orders import Order, Pause
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.protocol.roster import no_tracks
 from cogradar.shared.scenario.radar_config import Strategy
@@ -152,6 +153,45 @@ def test_in_real_time_the_radar_searches_before_anybody_has_told_it_of_tracks_an
     back.handle(first)
     (again,) = scans(list(back.handle(Tick(5.0))))
     assert (again.k, again.t, again.roster) == (4, 5, first.roster)
+
+
+@pytest.mark.parametrize("receiver_s", [0.01, 0.25])
+def test_after_a_receiver_that_is_too_slow_a_dwell_waits_for_the_waveform_of_the_one_before(receiver_s: float) -> None:
+    """At 10 Hz, with answers 30 ms after their scans: it radiated each dwell at once, with the waveform before."""
+    core, now_s, answers = EmulatorCore(SimulatedFrontEnd.open), 0.0, list[tuple[float, Waveform]]()
+    core.handle(checkpoint(smoke_start(dwells=1000).model_copy(update={"rate_hz": 10.0})))
+    core.handle(_waveform(0, tracking=True))
+    sent = list[tuple[float, Scan]]()
+    while now_s < 8.0 and len(sent) < 25:
+        now_s += 0.005
+        for at_s, answer in answers:
+            if at_s <= now_s:
+                core.handle(answer)
+        answers = [one for one in answers if one[0] > now_s]
+        if core.has_deferred or (core.wake_s or 0.0) <= now_s:
+            for scan in scans(list(core.handle(Tick(now_s)))):
+                now_s += receiver_s
+                sent.append((now_s, scan))
+                answers.append((now_s + 0.03, _waveform(scan.k, tracking=True)))
+    tracked = [scan for _, scan in sent][3:]
+    assert {scan.waveform_k for scan in tracked} == {None}, "each is of the waveform of the dwell before"
+    gaps_s = np.diff([at_s for at_s, _ in sent])[3:]
+    assert gaps_s.max() < max(0.1, receiver_s + 0.03) + 0.02
+    for _ in range(8):  # nobody answers any more
+        now_s += 0.25
+        core.handle(Tick(now_s))
+    assert all(scans(list(core.handle(Tick(now_s + 0.25 * i)))) for i in range(1, 9))
+
+
+def test_a_pause_of_some_dwells_is_over_after_so_many_also_while_targets_are_acquired() -> None:
+    """In real time each took five seconds: a dwell of the acquisition that measures nothing is no dwell."""
+    core, order = EmulatorCore(SimulatedFrontEnd.open), Order(n=1, k=1, action=Pause(dwells=3))
+    begun = checkpoint(smoke_start(dwells=30).model_copy(update={"rate_hz": 10.0}))
+    core.handle(begun.model_copy(update={"orders": [order]}))
+    found = [scan for i in range(12) for scan in scans(list(core.handle(Tick(0.1 * i))))]
+    assert [scan.k for scan in found] == list(range(12))
+    assert [scan.k for scan in found if not scan.bins.size] == [1, 2, 3]
+    assert {scan.fault for scan in found if not scan.bins.size} == {PAUSED}
 
 
 def test_in_real_time_an_emulator_that_comes_back_goes_on_with_the_dwell_that_is_due(said: list[Message]) -> None:

@@ -117,12 +117,19 @@ def test_a_run_whose_recorder_is_frozen_waits_for_the_recorder(
         (run,) = json.loads(core.answer("runs", {}))
         return str(run["waiting_for"])
 
-    now_s += 9.0
+    now_s += 19.0
     assert waits().startswith("the emulator")
     now_s += 3.0
-    assert waits() == "the recorder, which has said nothing for 12 s"
+    assert waits() == "the recorder, which has said nothing for 22 s"
     core.handle(checkpoints(sent[0], k=5, t=4)[0])
     assert waits().startswith("the emulator")
+    now_s += 22.0
+    for message in sent[20:40]:  # what it says is lost, and what it writes is not
+        recorder.handle(message)
+    recorder.handle(Tick(0.0))
+    assert "the recorder" not in waits()
+    now_s += 22.0
+    assert waits().startswith("the recorder")
     core.close()
 
 

@@ -138,12 +138,13 @@ def test_a_run_that_is_cancelled_meanwhile_is_over_when_there_is_room(disk: Path
     journal = Journal(str(disk / "run.db"))
     core = _recorder(journal, sent[: len(sent) // 2])
     ballast = _fill(disk)
+    core.handle(RunCancel(run=START.run, reason="as it failed"))
     core.handle(RunCancel(run=START.run))
     _tick(core, 8)
     assert core.trouble
     ballast.unlink()
     assert _tick(core, 8)[-1].ended
-    assert [row["status"] for row in journal.read("SELECT status FROM run")] == ["stopped"]
+    assert journal.read("SELECT status, reason FROM run") == [{"status": "stopped", "reason": "as it failed"}]
     core.close()
 
 

@@ -188,7 +188,6 @@ def test_of_a_waveform_without_power_less_is_the_same() -> None:
     [
         pytest.param(9_400_259, id="what was not measured in the acquisition is no dwell"),
         pytest.param(9_400_885, id="no room for the first dwells: no waveform is beside its plans"),
-        pytest.param(70_320, id="a plan that came when its track was given up"),
         pytest.param(9_300_389, id="all who had the scans of the acquisition are gone"),
     ],
 )

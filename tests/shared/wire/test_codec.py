@@ -177,7 +177,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     EmulatorCheckpoint: st.builds(
         EmulatorCheckpoint, **PROGRESS, world=st.sampled_from([None, SMOKE["world"]]), world_seed=SEEDS
     ),
-    RunCancel: st.builds(RunCancel, run=RUN),
+    RunCancel: st.builds(RunCancel, run=RUN, reason=st.text(max_size=500)),
     Command: st.builds(
         Command,
         run=RUN,
