@@ -69,7 +69,7 @@ class Store:
         now_s = time.monotonic()
         if self.heard_s is None:
             return 0.0
-        if self._seen_k.get(run) != k:
+        if self._seen_k.setdefault(run, k) != k:
             self._seen_k[run], self.heard_s = k, now_s
         return now_s - self.heard_s
 

@@ -258,7 +258,7 @@ def _as_written(fault: Fault, document: Document) -> Fault:
 def _refusal(lines: Sequence[str], n: int) -> ScenarioError:
     """What is wrong: the first of n faults in a line each."""
     shown = lines[:n] if n <= MAX_EXPLAINED + 1 else lines[:MAX_EXPLAINED]  # one more is as short as to count it
-    first = lines[0] + (f" (and {n - 1} more; `cogradar check` names more)" if n > 1 else "")
+    first = lines[0] + (f" (and {n - 1} more)" if n > 1 else "")
     return ScenarioError(first, [*shown, *([f"and {n - len(shown)} more"] if n > len(shown) else [])])
 
 

@@ -118,6 +118,8 @@ def test_a_better_policy_is_rewarded() -> None:
     [
         ("cogradar/Paper-v0", {"reward": "fame"}, "must be one of detections, information, gospa"),
         ("cogradar/Paper-v0", {"actions": "words"}, "must be cells or bins"),
+        ("cogradar/Paper-v0", {"dwells": 0}, "dwells = 0: must be an integer >= 1"),
+        ("cogradar/Sky-v0", {"dwells": 2.5}, "dwells = 2.5: must be a whole number"),
         ("cogradar/Paper-v0", {"scenario": "traffic"}, "needs a known number of targets"),
         ("cogradar/Sky-v0", {"scenario": "paper"}, "needs an unknown number of targets"),
         ("cogradar/Sky-v0", {"scenario": "nowhere"}, "no such scenario"),
@@ -143,8 +145,22 @@ def test_an_action_outside_the_grid_is_bad_input() -> None:
         *_, is_over, _ = environment.step({"bins": np.array([3, 4]), "weights": np.array([0.0, 1.0])})
     assert is_over
     with pytest.raises(cogradar.BadInput, match="the episode is over: reset"):
-        environment.step({"bins": np.array([3, 4])})
+        environment.step({"bins": np.array([3, 4]), "weights": np.ones(2)})
     environment.close()
+
+
+def test_an_action_has_what_its_space_has_and_nothing_else() -> None:
+    """Without weights the power was split evenly, as if an agent had meant it."""
+    bins = {"bins": np.array([3, 4])}
+    for how, action, words in (
+        ({}, bins, "weights must be 2 of"),
+        ({"actions": "bins"}, bins | {"weights": np.ones(2)}, "action: weights: must be one of bins"),
+    ):
+        environment = _made("cogradar/Paper-v0", **how)
+        environment.reset(seed=1)
+        with pytest.raises(cogradar.BadInput, match=words):
+            environment.step(action)
+        environment.close()
 
 
 def test_a_sky_takes_any_split_of_its_space_and_no_other() -> None:

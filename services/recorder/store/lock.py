@@ -26,7 +26,7 @@ class JournalLock:
             self.sign(path, owner)
         except OSError as error:
             why = error.strerror if error.errno in _NO_PLACE else f"no lock on it: {error.strerror}"
-            if not (folder := Path(self._path).parent).is_dir():
+            if error.errno == errno.ENOENT and not (folder := Path(self._path).parent).exists():
                 why = f"there is no folder {folder}: make it first"
             raise BadInput(f"{path}: {why}") from None
 

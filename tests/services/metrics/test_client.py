@@ -125,7 +125,7 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
     for path, words in (
         (tmp_path / "nothing.db", "no such file"),
         (tmp_path, "Is a directory"),
-        (text, "not a database"),
+        (text, "no store of runs, but a file of another kind"),
     ):
         with pytest.raises(BadInput, match=words) as caught, source(str(path), "") as ask:
             ask("runs", {})

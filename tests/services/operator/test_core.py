@@ -112,7 +112,8 @@ def test_of_two_runs_without_an_end_the_older_one_stays() -> None:
     older = start.model_copy(update={"run": "older"})
     younger = start.model_copy(update={"run": "younger"})
     assert not operator.handle(_goes_on(younger, k=0))
-    assert operator.handle(_goes_on(older, k=5000)) == (RunCancel(run=start.run),)
+    cancel = RunCancel(run=start.run, reason="for another run of this radar")
+    assert operator.handle(_goes_on(older, k=5000)) == (cancel,)
     assert not operator.handle(_goes_on(start, k=32))
     assert not _ticks(operator, GONE_TICKS - 1)
 
