@@ -53,7 +53,7 @@ from cogradar.shared.wire.meter import Measures
 PAUSED = "transmission is paused"
 LOOK_S = 0.02  # lockstep: from a look for the answer of a front end that is asked aside to the next
 LATE = 0.2  # real time: periods after which a dwell is late, as after a receiver that is slower than the rate
-ANSWERED = 3  # dwells: a waveform that is no older shows that there is somebody who makes them
+ANSWERED = 3  # dwells: a waveform that is no older shows that others answer
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 
 
@@ -309,8 +309,8 @@ def _waits(run: _Run, now: Tick) -> bool:
     """In real time: whether a dwell that is late anyway, as after a slow receiver, waits, for a period at most.
 
     For the messages that have come, first: one for each dwell would fall behind, orders with them. Then for the
-    waveform of the dwell before, which takes some time: each dwell would be radiated with an older one. Nobody is
-    waited for who has not answered lately.
+    waveform of the dwell before, which takes some time: each dwell would be radiated with an older one. Others are
+    waited for only if they have answered lately.
     """
     if run.due_s is None or now.now_s < run.due_s + run.pacing.seconds(1) * LATE:
         return False
@@ -366,8 +366,8 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Seq
     """One transmit-receive cycle, or the end of a front end that has no more of them.
 
     While targets are acquired in real time, a dwell without a measurement is none: the acquisition has none to spare.
-    As many more as it has are sent all the same, now and then, so that all are told of the fault; and each dwell of a
-    pause for a number of dwells, or it would never be over.
+    As many more as it has are sent all the same, now and then, so that all are told of the fault. Of a pause for a
+    number of dwells each one is: it would never be over.
     """
     asked = _asked(run, k, waveform)
     is_tracking = run.is_tracking(waveform)

@@ -56,7 +56,7 @@ class Store:
         self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self._unsummed: dict[str, int] = {}  # runs with scores that are not in the sums yet: the first such dwell t
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
-        self.heard_s: float | None = None  # when something was heard of the recorder; None: nobody listens
+        self.heard_s: float | None = None  # when something was heard of the recorder; None: it is a file alone
         self._seen_k: dict[str, int] = {}  # ... or seen: the newest dwell of runs that go on
         self.scores.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         self.scores.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")

@@ -37,7 +37,7 @@ ROOTS = ("cogradar", "services", "shared", "studies", "docs", "deploy")
 
 # What is left. Lower a number when you lower the count.
 LIMITS = {
-    "pages": {"long sentences": 3, "who, whoever": 0, "nobody": 2, "that of, those of": 1},
+    "pages": {"long sentences": 3, "who, whoever": 0, "nobody": 0, "that of, those of": 0},
     "program": {"long sentences": 0, "who, whoever": 3, "nobody": 0, "that of, those of": 0},
 }
 

@@ -41,7 +41,7 @@ def check_real_time(
     faults, takeover_s = schedule.faults, schedule.takeover_s
     at_emulator = [fault for fault in faults if fault.touches(Role.EMULATOR)]
     own_s = max((fault.settled_s for fault in at_emulator), default=0.0)
-    # All who have the scans of the acquisition lose them: docs/explanation/recovery.md.
+    # All processes that have the scans of the acquisition lose them: docs/explanation/recovery.md.
     forgets = {fault.who for fault in faults if fault.kind in FORGETS}
     have = [name for name in schedule.names if name.startswith((Role.EMULATOR, Role.PLANNER))]
     all_forget = forgets.issuperset(have) and any(fault.touches(Role.RECORDER) for fault in faults)
