@@ -68,6 +68,7 @@ RECORDER, RUN, JOURNAL = (
 )
 PLANNER, PLANNED, HELD = "services/planner/core.py", "services/planner/run.py", "services/planner/held_tracks.py"
 ALLOCATOR, EMULATOR = "services/allocator/core.py", "services/emulator/core.py"
+TRANSMITTED = "services/emulator/dwell.py"
 MEMBERS, SHARES = "shared/wire/pool/members.py", "shared/wire/pool/shares.py"
 PACING, RESEND = "services/delivery/pacing.py", "services/delivery/resend.py"
 EPOCHS = "shared/wire/epochs.py"
@@ -276,7 +277,7 @@ MUTANTS = (
     ),
     Mutant(
         "a limit of power is not kept by the emulator",
-        EMULATOR,
+        TRANSMITTED,
         "return limited(transmission(run.radar, waveform), most)",
         "return transmission(run.radar, waveform)",
         only=with_commands,

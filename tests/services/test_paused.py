@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cogradar.services.emulator.core import PAUSED, EmulatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.dwell import PAUSED
 from cogradar.services.emulator.front_end import ScanData, Transmission
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.events import Tick

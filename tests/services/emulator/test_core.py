@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS
 from cogradar.services.delivery.resend import MAX_DWELLS
-from cogradar.services.emulator.core import PAUSED, EmulatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.dwell import PAUSED
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Tick

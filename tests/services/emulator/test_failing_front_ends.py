@@ -6,7 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cogradar.services.emulator.core import SAY_S, EmulatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.dwell import SAY_S
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData
 from cogradar.services.emulator.kept_open import ATTEMPTS, FIRST_S, LONGEST_S
 from cogradar.shared.protocol.admission import check_dwell

@@ -97,7 +97,7 @@ def test_power_above_the_limit_is_found(monkeypatch: pytest.MonkeyPatch) -> None
     def louder(asked: Transmission, _most: float) -> Transmission:
         return replace(asked, factor=1.1 * asked.factor, isotropic=1.21 * asked.isotropic)
 
-    monkeypatch.setattr("cogradar.services.emulator.core.limited", louder)
+    monkeypatch.setattr("cogradar.services.emulator.dwell.limited", louder)
     assert "with power 1.21, at most 1" in played(rate_hz=10.0).violation
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cogradar.services.delivery.pacing import Lockstep, RealTime
-from cogradar.services.emulator import core as emulator
+from cogradar.services.emulator import dwell as emulator
 from cogradar.services.emulator.front_end import Transmission
 from cogradar.services.planner.held_tracks import HeldTracks
 from cogradar.services.recorder import core as recorder
