@@ -92,6 +92,8 @@ class _Radar(gymnasium.Env[Observation, Action]):
         self.render_mode = render_mode
         if isinstance(scenario, Scenario) and settings:
             raise BadInput("settings: a Scenario has all its values: give cogradar.load the settings, or here the name")
+        if not isinstance(settings, Mapping):
+            raise BadInput(f"settings = {settings!r}: must be a dict")
         given = {**self._quick, **settings}
         self._scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, given)
         run_start(self._scenario, Strategy.UNIFORM, 0, dwells)  # each episode's, refused before the first
@@ -115,6 +117,8 @@ class _Radar(gymnasium.Env[Observation, Action]):
         """Radiate what the action says, and measure; the action is that for the dwell after the last observation."""
         if self._player is None:
             raise BadInput("step: reset the environment first")
+        if not isinstance(action, Mapping):
+            raise BadInput(f"action: {type(action).__name__}: must be a dict of arrays, as of the space")
         known = [*getattr(self.action_space, "spaces", ())]
         if unknown := [name for name in action if name not in known]:
             raise BadInput(f"action: {unknown[0]}: must be one of {', '.join(known)}")

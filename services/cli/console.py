@@ -341,9 +341,14 @@ def wrong_usage(error: typer.TyperException) -> str:
     where = f" (see {context.command_path} --help)" if context is not None else ""
     if not isinstance(error, typer.BadParameter) or not error.message:
         pieces = [] if context is None else context.command.collect_usage_pieces(context)
-        pieces = [piece for piece in pieces if not piece.startswith("[")]  # no options
-        if isinstance(error, typer.BadParameter) and len(pieces) > 1:  # of several arguments any may be the missing one
-            words = [piece.replace("{", "").replace("}", "").replace("......", "...") for piece in pieces]
+        words = [
+            piece.replace("{", "").replace("}", "").replace("......", "...")
+            for piece in pieces
+            if not piece.startswith("[")  # options: of several arguments any may be the missing one
+        ]
+        if (
+            context is not None and isinstance(error, typer.BadParameter) and len(words) > 1
+        ):  # any may be the missing one
             where = f": {' '.join([context.command_path, *words])}{where}"
         return " ".join(error.format_message().split()).removesuffix(".") + where
     name = error.param_hint

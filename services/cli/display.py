@@ -26,6 +26,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.metrics.answers import Rows
 from cogradar.services.runs.run import Progress as RunProgress
 from cogradar.services.runs.run import Result, window
+from cogradar.shared.protocol.orders import PAUSED
 from cogradar.shared.scenario.limits import NO_END, said_dwells
 
 if TYPE_CHECKING:
@@ -48,6 +49,10 @@ COLUMNS = (
 NO_ROWS = {  # Why there may be none, of runs that are there.
     "confirmation": 'it is about an unknown number of targets, radar.tracks = "unknown", which no run asked about has;'
     " `cogradar query summary` says what became of each target of other runs",
+    "tracks": "rows are of targets: of an unknown number without truth `cogradar export RUN --out tracks.csv` has the"
+    " tracks",
+    "summary": "rows are of targets: of an unknown number without truth `cogradar query picture` has all tracks"
+    " together",
     "commands": "no command was given to this run: `cogradar command --help` says which there are",
 }
 NO_DIGEST = "none: not all of the run is there"
@@ -72,6 +77,7 @@ LIVE_HEAD = 35  # characters of the live line before its targets, without the co
 BAR = 10
 MORE = " ..."  # in place of words that have no room
 FAULT_AGAIN_S = 10.0  # from a line about a front end to the next, which says something else
+SLOW, SLOW_AFTER_S = 0.8, 5.0  # of the rate in real time, and seconds, from which on it is worth a line
 STALE_SHARE, STALE_AFTER = 0.2, 20  # of waveforms in real time, and dwells, from which on it is worth a line
 
 
@@ -143,7 +149,8 @@ class RunDisplay(_Live):
             self.notify(
                 f"{100 * stale:.0f} % of the waveforms came too late so far: a lower --rate gives them more time"
             )
-        if now.fault not in {"", self._fault} and time.monotonic() - self._fault_s > FAULT_AGAIN_S:
+        is_soon = time.monotonic() - self._fault_s <= FAULT_AGAIN_S and self._fault != PAUSED
+        if now.fault not in {"", self._fault} and not is_soon:
             self._fault, self._fault_s = now.fault, time.monotonic()
             self.notify(f"not measured: {now.fault}")
         self._progress.update(
@@ -301,6 +308,12 @@ def run_caption(result: Result) -> str:
         )
     if pacing_at(run["rate_hz"]).has_deadlines:
         lines.append(_real_time(result))
+        made_hz = (run["t"] + run["acquisition_scans"]) / result.elapsed_s
+        if made_hz < SLOW * run["rate_hz"] and result.elapsed_s > SLOW_AFTER_S:
+            lines.append(
+                f"{made_hz:.1f} dwells a second were made of {run['rate_hz']:g}: the front end, or this machine, is"
+                " slower"
+            )
     return "\n".join([*lines, *conflict_warning(run["conflicts"])])
 
 
@@ -313,7 +326,9 @@ def outcome(result: Result) -> str:
     """What happened, in a sentence or two: which targets kept their tracks, and how well they were seen."""
     scored = [row for row in result.targets if row["n"] and row["p_d"] is not None]
     if not scored:
-        return f"{result.run['t']} dwells were made" + ("; no target was tracked." if result.has_truth else ".")
+        made, n = result.picture.get("dwells", result.run["t"]), result.run["t"]
+        what = f"{n if made == n else f'{made} of {n}'} dwells were made"
+        return f"{what}; no target was tracked." if result.has_truth else f"{what}."
     lost = [str(row["target"]) for row in scored if row["lost"]]
     n, verb = len(scored), "was" if len(lost) == 1 else "were"
     held = "The only target was" if n == 1 else f"All {n} targets were"
@@ -338,7 +353,10 @@ def next_step(program: str, result: Result, store: str | None, endpoint: str | N
             return f"next: {program} figures {quote(store)} --out figures"
         return f"next: {program} query summary --run {run} --store {quote(store)}"
     if store is not None:
-        return f"next: {program} query tracks --run {run} --store {quote(store)}"
+        of_tracks = f"query tracks --run {run} --store {quote(store)}"
+        if result.is_unknown:  # its rows are of targets
+            of_tracks = f"export {run} --store {quote(store)} --out tracks.csv"
+        return f"next: {program} {of_tracks}"
     if url is not None:
         return f"next: curl {url}/api/v1/runs/{run}/summary"
     if endpoint is not None:
@@ -353,8 +371,8 @@ def _real_time(result: Result) -> str:
     late = ", ".join(f"T{row['target']} {100 * (row['late'] or 0.0):.2f} %" for row in result.targets)
     longest = max(result.targets, key=lambda row: int(row["n"]))
     stale = 100 * (longest["stale"] or 0.0)
-    scored = f"{result.picture['dwells']} of {result.run['t']} dwells scored; "
-    return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
+    stored = f"{result.picture['dwells']} of {result.run['t']} dwells stored; "
+    return f"real time at {result.run['rate_hz']:g} Hz: {stored}late plans {late}; stale waveforms {stale:.2f} %"
 
 
 def _live(row: dict[str, Any]) -> str:

@@ -66,6 +66,7 @@ HttpOption = Annotated[
     ),
 ]
 KeepOption = Annotated[bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")]
+MOST_OFF = 0.01  # of the duration of a dwell that the radar assumes
 ENDLESS_STORE = "grows with each dwell until it has 4 GB of messages; the oldest dwells make room then"
 
 
@@ -117,9 +118,13 @@ def run(
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         stored = store if dwells == NO_END or (dwells is None and loaded.dwells == NO_END) else None
-        for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world, endless=stored):
-            say(text, err)
         rate_hz = rate_of(loaded, pace, rate)
+        is_live = rate_hz > 0.0 and not connect and front_end.partition(":")[0] not in {Start.front_end, "recorded"}
+        for text in [
+            *_remarks(turns=planners if in_process else 1, ignores_world=ignores_world, endless=stored),
+            *(_other_time(rate_hz, loaded.radar.motion.dt_s) if is_live else ()),
+        ]:
+            say(text, err)
         start = loadable(RunStart.of(loaded, strategy, seed, dwells, rate_hz))
         show = partial(_show, store=store if store is None else shown(store), endpoint=connect, as_json=as_json)
         if connect and detach:
@@ -180,6 +185,18 @@ def _remarks(*, turns: int, ignores_world: bool, endless: str | None) -> list[st
     remarks = [] if endless is None else [f"{shown(endless)}: {ENDLESS_STORE}"]
     remarks += [f"--in-process: {turns} planners take turns in one process"] if turns > 1 else []
     return remarks + (["--front-end: the scenario's [world] is ignored, nothing is simulated"] if ignores_world else [])
+
+
+def _other_time(rate_hz: float, dt_s: float) -> list[str]:
+    """What becomes of speeds if a receiver of real targets has dwells of another length than the radar assumes."""
+    factor = rate_hz * dt_s
+    if abs(factor - 1.0) < MOST_OFF:
+        return []
+    than = f"{factor:.3g} times too small" if factor > 1.0 else f"{1.0 / factor:.3g} times too large"
+    return [
+        f"--rate {rate_hz:g}: a dwell takes {1.0 / rate_hz:g} s, the radar assumes radar.motion.dt_s = {dt_s:g}:"
+        f" speeds of real targets would be {than}; --set radar.motion.dt_s={1.0 / rate_hz:g}"
+    ]
 
 
 def _refuse_with_connect(*, local: bool, chaos: float | None, front_end: str) -> None:

@@ -18,12 +18,11 @@ from cogradar.services.emulator.front_end import (
 )
 from cogradar.services.emulator.kept_open import KeptOpen
 from cogradar.shared.protocol.messages import MAX_REASON, Message, RunEnd, Scan, Waveform
-from cogradar.shared.protocol.orders import Order, ends, in_force, is_paused, is_paused_for_some, power_share
+from cogradar.shared.protocol.orders import PAUSED, Order, ends, in_force, is_paused, is_paused_for_some, power_share
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.scan import Detections, Strongest
 
-PAUSED = "transmission is paused"
 SAY_S = 5.0  # real time: while targets are acquired, from a scan without a measurement to the next that is sent
 
 

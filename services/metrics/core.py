@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from cogradar.services.errors import NoStoreYet, StoreFailed, Unreachable
-from cogradar.services.metrics.answers import NO_ROOM, answer
+from cogradar.services.metrics.answers import NO_ROOM, SILENT_S, answer
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
@@ -64,6 +64,13 @@ class MetricsCore:
         if fault := self._away or self._followed.trouble():
             return f"held: {fault}"
         return NO_ROOM if self.store.held else ""
+
+    @property
+    def silence(self) -> str:
+        """That nothing is heard of the recorder while runs go on; "": something is."""
+        heard_s = self.store.heard_s if self._advanced else None
+        silent_s = 0.0 if heard_s is None else time.monotonic() - heard_s
+        return f"the recorder has said nothing for {silent_s:.0f} s" if silent_s > SILENT_S else ""
 
     @property
     def has_deferred(self) -> bool:

@@ -29,6 +29,7 @@ from cogradar.services.runs.run import (
 )
 from cogradar.services.topology import TOPOLOGY, Start
 from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.orders import PAUSED
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.queries import Alive, NoAnswer, ask
 from cogradar.shared.wire.session import Session, open_session
@@ -189,7 +190,8 @@ def _play(
     notify: Callable[[str], None],
     front_end: str = Start.front_end,
 ) -> Result:
-    notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
+    metric = "runs" if start.scenario["world"] is None else "p_d"  # without truth P_D is unknown
+    notify(f"running; ask it questions with:\n  {program()} query {metric} --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     asks, starts = partial(_query, session, check), partial(bus.publish, start)
@@ -309,12 +311,13 @@ class _Told:
         if now.hindered not in {"", self._hindered}:
             self._hindered = now.hindered
             self._notify(f"hindered: {now.hindered}")
-        if self._front_end == Start.front_end or not now.waiting_for.startswith(EMULATOR):
+        is_elsewhere = not now.waiting_for.startswith(EMULATOR) or PAUSED in now.waiting_for
+        if self._front_end == Start.front_end or is_elsewhere:
             return now
         now = replace(now, waiting_for=f"front end {self._front_end}, for {now.waiting_for}")
         if quiet_s > QUIET_S and self._silent != now.waiting_for:
             from cogradar.services.front_ends import cure_of_silence
 
             self._silent = now.waiting_for
-            self._notify(f"waiting for {now.waiting_for}{cure_of_silence(self._front_end)}")
+            self._notify(f"waiting for {now.waiting_for}, or the recorder{cure_of_silence(self._front_end)}")
         return now

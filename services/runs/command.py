@@ -94,7 +94,10 @@ def _confirmed(session: Session, send: Callable[[], None], command: Command) -> 
         if rows:
             return rows[0]
     _check(session, command)
-    raise RunFailed(f"no confirmation within {WITHIN_S:.0f} s that {command.run} is commanded: it may be")
+    raise RunFailed(
+        f"no confirmation within {WITHIN_S:.0f} s that {command.run} is commanded: it may be, or the"
+        " recorder hangs: `cogradar query commands` and `query runs` say it"
+    )
 
 
 def _user() -> str:

@@ -65,7 +65,7 @@ async def readyz(request: Request) -> Response:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "there is no journal yet")
     if core.tick_s is None or time.monotonic() - core.tick_s > TICK_WITHIN_S:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router, or too busy to follow the journal")
-    return JSONResponse({"status": core.trouble or "ok"})
+    return JSONResponse({"status": core.trouble or core.silence or "ok"})
 
 
 async def metrics(request: Request) -> Response:

@@ -273,6 +273,9 @@ def under(radar: RadarConfig, strategy: Strategy, settings: Iterable[Setting] | 
     return radar.model_copy(update=sections) if sections else radar, Strategy(values.get("strategy", strategy))
 
 
+PAUSED = "transmission is paused"  # why nothing is measured meanwhile
+
+
 def is_paused(orders: Iterable[Order]) -> bool:
     """Whether orders in force let nothing be radiated."""
     return any(isinstance(order.action, Pause) for order in orders)

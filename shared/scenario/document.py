@@ -283,6 +283,8 @@ def _no_such(folder: Path, wanted: str, chain: Sequence[Path]) -> str:
         return "a directory, must be a .toml file or the name of a built-in scenario"
     if path.is_symlink():
         return "a symbolic link that leads to no file"
+    if path.is_file():
+        return "is there, but no scenario's file, whose name ends in .toml"
     known_by_now = {file.resolve() for file in chain}
     beside = [file for file in Path(folder, wanted).parent.glob("*.toml") if file.resolve() not in known_by_now]
     known = [*built_in(), *(str(Path(wanted).with_name(file.name)) for file in beside)]

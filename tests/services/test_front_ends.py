@@ -201,7 +201,7 @@ def test_a_front_end_that_is_waited_for_is_named_with_what_to_do(name: str, cure
     for quiet_s in (0.0, 9.0, 10.0):
         now = told.of(Progress(0, 10, None, "the emulator's first scan", []), quiet_s)
     assert now.waiting_for == f"front end {name}, for the emulator's first scan"
-    assert said == [f"waiting for {now.waiting_for}{cure}"]
+    assert said == [f"waiting for {now.waiting_for}, or the recorder{cure}"]
 
 
 def test_a_file_that_raises_is_refused(tmp_path: Path) -> None:

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.emulator.dwell import PAUSED
 from cogradar.services.emulator.front_end import ScanData, Transmission
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, RunStart, Scan, Truth
-from cogradar.shared.protocol.orders import Action, Order, Pause, Resume
+from cogradar.shared.protocol.orders import PAUSED, Action, Order, Pause, Resume
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.tracking.existence import SURVIVES_S

@@ -40,8 +40,10 @@ def _cure(name: str) -> str:
 
 def allow_plugins(places: list[str] | None) -> list[str] | None:
     """Let this command load what is there."""
-    from cogradar.shared.scenario.plugins.sources import allow
+    from cogradar.shared.scenario.plugins.sources import allow, missing
 
+    if places and (place := missing(*places)):
+        raise typer.BadParameter(f"{place}: no such folder, .py file or module")
     allow(*(places or ()))
     return places
 

@@ -68,6 +68,19 @@ def allow(*places: str) -> None:
         _allowed.places[place if is_module else str(_settled(Path(place)))] = None
 
 
+def missing(*places: str) -> str:
+    """The first of these that is neither a folder, nor a file, nor the name of a module; empty if all are one."""
+    parts = [part for text in places for part in text.split(os.pathsep) if part]
+    return next((one for one in parts if not Path(one).exists() and not _is_module(one)), "")
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return _MODULE.fullmatch(name) is not None and importlib.util.find_spec(name) is not None
+    except (ImportError, ValueError):  # of its package; __main__ has no spec
+        return False
+
+
 def _settled(path: Path) -> Path:
     """A whole path. A file may be a link, as in a mounted volume: its folder and its own name count."""
     return path.resolve() if path.is_dir() else path.parent.resolve() / path.name

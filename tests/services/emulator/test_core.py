@@ -6,12 +6,11 @@ from numpy.typing import NDArray
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS
 from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.emulator.dwell import PAUSED
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
-from cogradar.shared.protocol.orders import Order, Pause
+from cogradar.shared.protocol.orders import PAUSED, Order, Pause
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.protocol.roster import no_tracks
 from cogradar.shared.scenario.radar_config import Strategy

@@ -121,7 +121,7 @@ def test_a_run_whose_recorder_is_frozen_waits_for_the_recorder(
     assert waits().startswith("the emulator")
     now_s += 3.0
     assert waits() == "the recorder, which has said nothing for 22 s"
-    core.handle(checkpoints(sent[0], k=5, t=4)[0])
+    core.handle(checkpoints(smoke_start(dwells=DWELLS), k=5, t=4)[0])
     assert waits().startswith("the emulator")
     now_s += 22.0
     for message in sent[20:40]:  # what it says is lost, and what it writes is not

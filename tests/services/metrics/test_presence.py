@@ -125,7 +125,7 @@ def test_the_terminal_shows_who_came_later(played: tuple[Store, Result]) -> None
 def test_the_terminal_says_how_long_a_run_without_an_end_was(played: tuple[Store, Result]) -> None:
     ended = replace(played[1], run=played[1].run | {"dwells": None, "rate_hz": 4.0})
     assert f" {DWELLS} dwells in " in run_caption(ended)
-    assert f"of {DWELLS} dwells scored" in run_caption(ended)
+    assert f"of {DWELLS} dwells stored" in run_caption(ended)
     assert run_tables(ended)[0].rows[-1]["span"] == f"all {DWELLS}"
 
 
