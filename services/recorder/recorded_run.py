@@ -109,7 +109,7 @@ class RecordedRun:
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
-        self._heard_k = -1  # dwell of the newest scan,
+        self._heard_k, self._heard_t = -1, 0  # dwell and clock of the newest scan,
         self._heard_at: int | None = None  # ... and tick at which it came; None: before the first one
 
     def check(self, message: OfDwell | Snapshot) -> None:
@@ -193,7 +193,7 @@ class RecordedRun:
         match message:
             case Scan():
                 if message.k > self._heard_k:
-                    self._heard_k, self._heard_at = message.k, self._ticks or None
+                    self._heard_k, self._heard_t, self._heard_at = message.k, message.t, self._ticks or None
                 dwell.t, dwell.scan_at = message.t, self._ticks
                 roster = roster_of(message)
                 dwell.born_ks = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
@@ -344,7 +344,9 @@ class RecordedRun:
         if not self.pacing.loses_dwells or (newest_k := max(self._heard_k, self.k - 1)) < 0:
             return {}
         whole_ticks = 0 if self._heard_at is None else max(self._ticks - self._heard_at - 1, 0)
-        return {"newest_k": newest_k, "due_k": min(newest_k + 1 + self.pacing.skipped(whole_ticks * TICK_S), NO_END)}
+        due_k = min(newest_k + 1 + self.pacing.skipped(whole_ticks * TICK_S), NO_END)
+        newest_t = self._heard_t if newest_k == self._heard_k else self.t
+        return {"newest_k": newest_k, "newest_t": newest_t, "due_k": due_k}
 
     @cached_property
     def _first(self) -> tuple[Checkpoint, EmulatorCheckpoint]:

@@ -172,6 +172,7 @@ class EmulatorCheckpoint(Checkpoint):
     world_seed: Seed
     # In real time the newest dwell whose scan the recorder has; None: it has none, or the run is in lockstep.
     newest_k: Index | None = None
+    newest_t: Index = 0  # ... its clock, 0 while targets are acquired,
     # ... and the dwell with which an emulator that comes back goes on. By the recorder's clock since then it is due,
     # if the radar keeps its rate. The dwells between never happened.
     due_k: Index = 0

@@ -143,7 +143,7 @@ CHANGES: dict[type[Message], tuple[dict[str, Any], dict[str, Any]]] = {
     Checkpoint: ({"k": 0, "t": 0}, FULL),
     EmulatorCheckpoint: (
         {"k": 0, "t": 0, "world": None},
-        {**FULL, "world": SKY["world"], "world_seed": 2**32, "newest_k": LAST, "due_k": LAST},
+        {**FULL, "world": SKY["world"], "world_seed": 2**32, "newest_k": LAST, "newest_t": LAST, "due_k": LAST},
     ),
     Command: ({"by": "x", "action": Resume()}, {"by": "~" * 100, "action": ACTIONS[1], "at": LAST}),
     ScanRecall: ({"k": 0, "targets": [0]}, {"k": LAST, "targets": EDGES}),

@@ -121,6 +121,7 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
             for both in (["--store", "a.db", "--connect", "tcp/a:1"], ["--connect", "tcp/a:1", "--store", "a.db"])
         ),
         (["run"], "Missing argument 'scenario'"),
+        (["run", "smoke", "--plugins", "nosuch"], "--plugins: nosuch: no such folder, .py file or module"),
         (["command", "pause"], "Missing argument 'ACTION...': cogradar command run ACTION..."),
         (["run", "smoke", "--sed", "1"], "No such option: --sed (Possible options: --seed, --set, --store)"),
     ],

@@ -22,6 +22,7 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.runs.run import Progress, Result, result, window
+from cogradar.shared.protocol.orders import PAUSED
 from tests.services.loop import play, smoke_start
 from tests.services.tables import assert_shown_whole, shown
 
@@ -196,6 +197,26 @@ def test_why_nothing_is_measured_is_told_while_it_happens_and_not_too_often(monk
     assert _shown(console).splitlines() == ["not measured: no answer", "not measured: it is hot"]
 
 
+def test_a_fault_right_after_a_pause_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pause had the only line of ten seconds, and the fault was over by then."""
+    console, said = _console(), list[str]()
+    with RunDisplay(console, 100) as display:
+        monkeypatch.setattr(display, "notify", said.append)
+        for t, fault in enumerate((PAUSED, "", "PLL not locked", "it is hot")):
+            display.report(Progress(t, 100, t, "", [_row(1)], fault=fault))
+    assert said == [f"not measured: {PAUSED}", "not measured: PLL not locked"]
+
+
+def test_a_run_that_was_slower_than_its_rate_says_so(finished: Result) -> None:
+    in_time = replace(finished, run=finished.run | {"rate_hz": 10.0}, elapsed_s=6.2)
+    assert "dwells a second were made" not in run_caption(in_time)
+    slow = replace(in_time, elapsed_s=30.0)
+    assert "dwells a second were made of 10: the front end, or this machine, is slower" in run_caption(slow)
+    lost = replace(slow, picture=slow.picture | {"dwells": 41}, targets=[row | {"p_d": None} for row in slow.targets])
+    assert "41 of 60 dwells stored" in run_caption(lost)
+    assert outcome(lost).startswith("41 of 60 dwells were made")
+
+
 def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None:
     unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "in_bin": None, "outage": None, "lost": None}
     blind = Result(finished.run, [row | unknown for row in finished.targets], [], {}, 1.0)
@@ -215,6 +236,9 @@ def test_what_to_type_next_can_be_pasted(finished: Result) -> None:
     blind = replace(result, picture={}, targets=[row | {"p_d": None} for row in result.targets])
     asked = shlex.split(next_step("./cogradar", blind, "a b.db", None))  # figures compare with the truth
     assert asked[1:] == ["./cogradar", "query", "tracks", "--run", "smoke-1", "--store", "a b.db"]
+    many = replace(blind, run=blind.run | {"tracks": None})  # rows of `tracks` are of targets
+    asked = shlex.split(next_step("./cogradar", many, "a b.db", None))
+    assert asked[1:] == ["./cogradar", "export", "smoke-1", "--store", "a b.db", "--out", "tracks.csv"]
     assert next_step("cogradar", result, None, "tcp/a:1").endswith("query tracks --run smoke-1 --connect tcp/a:1")
     assert next_step("cogradar", result, None, "tcp/a:1", "http://a:80").endswith(
         "http://a:80/api/v1/runs/smoke-1/summary"

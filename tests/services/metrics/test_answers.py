@@ -106,7 +106,8 @@ def test_a_run_whose_recorder_is_frozen_waits_for_the_recorder(
     sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The journal alone looks as if the next scan did not come."""
-    recorder, now_s = RecorderCore(Journal(str(tmp_path / "r.db"))), time.monotonic()
+    journal, now_s = Journal(str(tmp_path / "r.db")), time.monotonic()
+    recorder = RecorderCore(journal)
     core = MetricsCore(str(tmp_path / "r.db"))
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     for message in sent[:20]:
@@ -132,6 +133,7 @@ def test_a_run_whose_recorder_is_frozen_waits_for_the_recorder(
     now_s += 22.0
     assert waits().startswith("the recorder")
     core.close()
+    journal.close()
 
 
 def test_a_run_in_progress_whose_scan_is_damaged_hides_no_other(sent: list[Message]) -> None:

@@ -14,7 +14,7 @@ from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.wire.codec import encode
 from tests.samples import asked
-from tests.services.loop import SMOKE, checkpoint, smoke_start
+from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_start
 
 RATE_HZ = 10.0
 PERIOD_S = 1.0 / RATE_HZ
@@ -80,7 +80,7 @@ def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
         core.handle(Tick(now_s))
     for k in (1, 0):  # the older one comes later and is not taken
         core.handle(_waveform(k, beams=(3 + k, 12)))
-    sent = [*core.handle(Tick(1.0)), *core.handle(Tick(1.15)), *core.handle(Tick(1.25)), *core.handle(Tick(1.35))]
+    sent = [*core.handle(Tick(1.0)), *core.handle(Tick(1.11)), *core.handle(Tick(1.21)), *core.handle(Tick(1.31))]
     assert _radiated(sent) == [(2, 1, 1), (3, 2, 1), (4, 3, 1), (5, 4, 1)]
     assert all(scan.beams.tolist() == [[4], [12]] for scan in sent if isinstance(scan, Scan))
 
@@ -92,7 +92,7 @@ def test_overdue_dwells_are_not_made_up_for() -> None:
     core.handle(_waveform(0))
     assert _radiated(core.handle(Tick(5.0))) == [(1, 1, 0)]
     assert core.handle(Tick(5.05)) == []
-    assert _radiated(core.handle(Tick(5.16))) == [(2, 2, 0)]  # a little late: the next one is due as before
+    assert _radiated(core.handle(Tick(5.11))) == [(2, 2, 0)]  # a little late: the next one is due as before
     assert core.wake_s == pytest.approx(5.2)
 
 
@@ -186,28 +186,35 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     np.testing.assert_allclose(answer.shares, expected.shares, rtol=1e-5)
 
 
-def test_without_any_plan_a_waveform_is_said_one_and_a_half_periods_after_the_last() -> None:
+def _come_to(core: AllocatorCore, k: int, now_s: float) -> None:
+    """The radar comes to dwell k, and the clock is known."""
+    scan = next(one for one in scans(play(smoke_start())) if one.t == 1)
+    assert core.handle(scan.model_copy(update={"k": k, "t": k + 1})) == ()
+    assert core.handle(Tick(now_s)) == []
+
+
+def test_without_any_plan_a_waveform_is_said_half_a_period_after_its_scan() -> None:
     core = _allocator()
     _complete(core, 0, now_s=10.0)
-    assert core.wake_s == pytest.approx(10.0 + 1.5 * PERIOD_S)
-    assert core.handle(Tick(10.0 + 1.4 * PERIOD_S)) == []
-    (answer,) = core.handle(Tick(10.0 + 1.5 * PERIOD_S))
-    assert isinstance(answer, Waveform)
-    assert (answer.k, answer.late.tolist()) == (1, [1, 1])
-    core.handle(Tick(20.0))
-    (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
-    assert isinstance(answer, Waveform)
-    assert (answer.k, answer.late.tolist()) == (2, [2, 2])
+    assert core.wake_s is None
+    for k, now_s in ((1, 11.0), (2, 20.0)):
+        _come_to(core, k, now_s)
+        assert core.wake_s == pytest.approx(now_s + 0.5 * PERIOD_S)
+        assert core.handle(Tick(now_s + 0.4 * PERIOD_S)) == []
+        (answer,) = core.handle(Tick(now_s + 0.5 * PERIOD_S))
+        assert isinstance(answer, Waveform)
+        assert (answer.k, answer.late.tolist()) == (k, [k, k])
 
 
 def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
     core = _allocator()
     _complete(core, 0, now_s=10.0)
-    core.handle(Tick(10.0 + 1.5 * PERIOD_S))
+    _come_to(core, 1, 11.0)
+    assert len(core.handle(Tick(11.0 + 0.5 * PERIOD_S))) == 1
     for m, bin_ in enumerate((4, 10)):  # of dwell 1, which is answered
         assert core.handle(_plan(m, 1, bin_=bin_, state=(30.0, 0.0, 0.0, 0.0))) == ()
-    core.handle(Tick(20.0))
-    (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
+    _come_to(core, 2, 20.0)
+    (answer,) = core.handle(Tick(20.0 + 0.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
     assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [[4], [10]], [1, 1])  # they stand still
 

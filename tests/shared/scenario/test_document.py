@@ -103,6 +103,10 @@ def test_a_world_misses_nothing_of_a_radar_that_is_no_table(tmp_path: Path) -> N
 def test_what_was_probably_meant_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved(tmp_path, mine='extends = "smoke"\n')
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "hello.txt").touch()
+    assert refusal(str(tmp_path / "hello.txt"))[0].endswith(
+        "is there, but no scenario's file, whose name ends in .toml"
+    )
     assert refusal("papr")[0].startswith("papr: no such scenario or .toml file (did you mean paper?); the built-in")
     assert "(did you mean mine.toml?)" in refusal("mine")[0]
     assert f"(did you mean {tmp_path}/mine.toml?)" in refusal(f"{tmp_path}/mime.toml")[0]
