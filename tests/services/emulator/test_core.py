@@ -207,6 +207,15 @@ def test_in_real_time_an_emulator_that_comes_back_goes_on_with_the_dwell_that_is
     assert (scan.k, scan.t, scan.waveform_k, scan.skipped) == (9, 7, 3, 2)
 
 
+def test_an_emulator_goes_on_behind_the_acquisition_though_only_a_part_of_that_is_acknowledged() -> None:
+    """It began the acquisition once more; only an allocator that had gone ahead by its clock kept it from that."""
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=50).model_copy(update={"rate_hz": 10.0})
+    core.handle(checkpoint(start, 1, 0, newest_k=6, newest_t=4, due_k=9))
+    core.handle(_waveform(8, tracking=True))
+    (scan,) = scans(list(core.handle(Tick(0.0))))
+    assert (scan.k, scan.t, scan.skipped) == (9, 7, 2)
+
+
 def test_the_acquisition_has_no_dwell_to_spare_when_an_emulator_comes_back() -> None:
     start = smoke_start(dwells=60).model_copy(update={"rate_hz": 1.0})
     core = EmulatorCore(SimulatedFrontEnd.open)
