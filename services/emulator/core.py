@@ -137,7 +137,7 @@ class EmulatorCore:
             pacing=pacing,
             awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
         )
-        if checkpoint.newest_k is not None and checkpoint.newest_t > run.t:  # of which not all was acknowledged
+        if checkpoint.newest_k is not None and checkpoint.newest_t > run.t:  # the journal lags behind the radar
             run.k, run.t = checkpoint.newest_k + 1, checkpoint.newest_t
         if run.t > 0 or run.is_tracking(None):  # the acquisition has no dwell to spare
             run.last_k = checkpoint.newest_k
